@@ -1,0 +1,1 @@
+"""What decides: optimal control, space mapping and the receding horizon (no ROS)."""

@@ -1,0 +1,1 @@
+"""What moves: the crowd, the dogs and the noise (NumPy and Numba, no ROS)."""

@@ -1,0 +1,139 @@
+"""What one can turn in the model: validated, documented numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+
+def quantity(
+    default: Any,
+    doc: str,
+    unit: str = '',
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Return a dataclass field that knows its meaning, unit and bounds (inclusive)."""
+    metadata = {'doc': doc, 'unit': unit, 'low': low, 'high': high, 'choices': choices}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Base of every set of parameters: checks each field against its declaration.
+
+    Raises ValueError on construction, naming the field, what was given, what is allowed.
+    """
+
+    def __post_init__(self) -> None:
+        """Check type, finiteness, bounds and choices of each field."""
+        for field in dataclasses.fields(self):
+            if field.metadata:
+                value = getattr(self, field.name)
+                checked = check(f'{type(self).__name__}.{field.name}', value, field)
+                object.__setattr__(self, field.name, checked)
+
+
+def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
+    """Return value converted to the field's type, or raise ValueError if not allowed."""
+    converted = _convert(value, field.default)
+    if converted is None or not _within(converted, field):
+        raise ValueError(f'{name} is {value!r}, allowed is {describe_limits(field)}')
+    return converted
+
+
+def _convert(value: Any, like: Any) -> Any:
+    """Return value with the type of `like`; None if that would change its meaning."""
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if isinstance(like, tuple):
+        try:
+            numbers = tuple(float(each) for each in value)
+        except (TypeError, ValueError):
+            return None
+        return numbers if len(numbers) == len(like) else None
+    if isinstance(like, float):
+        return float(value) if number else None
+    return value if type(value) is type(like) else None
+
+
+def _within(value: Any, field: dataclasses.Field[Any]) -> bool:
+    """Whether value keeps the field's bounds and choices."""
+    low, high, choices = (field.metadata[key] for key in ('low', 'high', 'choices'))
+    if isinstance(value, (bool, str)):
+        return not choices or value in choices
+    return all(
+        math.isfinite(number)
+        and (low is None or number >= low)
+        and (high is None or number <= high)
+        for number in (value if isinstance(value, tuple) else (value,))
+    )
+
+
+def describe_limits(field: dataclasses.Field[Any]) -> str:
+    """Say in words what the field allows, for error messages and parameter tables."""
+    low, high, choices = (field.metadata[key] for key in ('low', 'high', 'choices'))
+    if choices:
+        return ' or '.join(choices)
+    if isinstance(field.default, tuple):
+        words = f'{len(field.default)} numbers'
+    else:
+        kinds = {float: 'a number', int: 'an integer', bool: 'true or false', str: 'a text'}
+        words = kinds[type(field.default)]
+    if low is not None and high is not None:
+        return f'{words} from {low:g} to {high:g}'
+    if low is not None:
+        return f'{words} of at least {low:g}'
+    if high is not None:
+        return f'{words} of at most {high:g}'
+    return words
+
+
+TINY = 1e-9
+"""Lower bound of quantities that must be positive."""
+
+
+@dataclass(frozen=True)
+class Morse(Parameters):
+    """Morse potential P(r) = C_r exp(-r / l_r) - C_a exp(-r / l_a) (paper, section 6)."""
+
+    repulsion: float = quantity(1.0, 'strength C_r of the repulsion', 'm^2/s^2', low=0.0)
+    repulsion_length: float = quantity(1e-2, 'range l_r of the repulsion', 'm', low=TINY)
+    attraction: float = quantity(5e-4, 'strength C_a of the attraction', 'm^2/s^2', low=0.0)
+    attraction_length: float = quantity(2.0, 'range l_a of the attraction', 'm', low=TINY)
+
+    @property
+    def coefficients(self) -> tuple[float, float, float, float]:
+        """(C_r / l_r, 1 / l_r, C_a / l_a, 1 / l_a), what the kernels work with."""
+        return (
+            self.repulsion / self.repulsion_length,
+            1.0 / self.repulsion_length,
+            self.attraction / self.attraction_length,
+            1.0 / self.attraction_length,
+        )
+
+
+@dataclass(frozen=True)
+class Crowd(Parameters):
+    """How sheep move (paper, state system). The defaults are the preset `cohesive`."""
+
+    sheep: Morse = Morse(1.0, 1e-2, 5e-4, 2.0)
+    dog: Morse = Morse(1e-2, 0.5, 5e-4, 2.0)
+    friction: float = quantity(0.5, 'friction alpha of the sheep', '1/s', low=0.0)
+    noise: float = quantity(
+        0.01, 'strength sigma of the random force on each sheep', 'm/s^1.5', low=0.0
+    )
+
+
+CROWDS = {
+    'cohesive': Crowd(),
+    'printed': Crowd(sheep=Morse(1.0, 2.0, 5e-4, 1e-2), dog=Morse(1e-2, 0.5, 5e-4, 1e-2)),
+}
+"""Crowds by name; `sheep` is the potential between two sheep, `dog` that of a dog on a sheep.
+
+`cohesive` is the paper's with the two lengths swapped, so that the text's long-range
+attraction and short-range repulsion hold; `printed` takes the paper by the letter, and the
+crowd explodes.
+"""

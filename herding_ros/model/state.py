@@ -1,0 +1,90 @@
+"""The state of the herd at an instant, and along a rollout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def finite(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
+    """Return value as a float64 array of the given shape (None: any length).
+
+    Raises
+    ------
+    ValueError
+        naming the array, what was given and what is allowed.
+
+    """
+    array = np.array(value, dtype=np.float64)
+    wanted = tuple('any' if n is None else n for n in shape)
+    if array.ndim != len(shape) or any(
+        n is not None and n != m for n, m in zip(shape, array.shape, strict=True)
+    ):
+        raise ValueError(f'{name} has shape {array.shape}, allowed is {wanted}')
+    if not np.isfinite(array).all():
+        raise ValueError(f'{name} holds NaN or infinite values; every value must be finite')
+    return array
+
+
+@dataclass(frozen=True)
+class HerdState:
+    """Where everyone is at an instant.
+
+    x: (N, 2) positions of the sheep [m]; v: (N, 2) their velocities [m/s];
+    d: (M, 2) positions of the dogs [m]; N, M >= 1. Dogs have no inertia: their velocity
+    is the control. Raises ValueError on wrong shapes and values that are not finite.
+    """
+
+    x: Array
+    v: Array
+    d: Array
+
+    def __post_init__(self) -> None:
+        """Validate, and convert to float64."""
+        object.__setattr__(self, 'x', finite('sheep positions x', self.x, (None, 2)))
+        object.__setattr__(self, 'v', finite('sheep velocities v', self.v, self.x.shape))
+        object.__setattr__(self, 'd', finite('dog positions d', self.d, (None, 2)))
+        if not len(self.x) or not len(self.d):
+            raise ValueError(
+                f'a herd needs at least one sheep and one dog, given {len(self.x)} sheep '
+                f'and {len(self.d)} dogs'
+            )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The herd along a rollout of K steps of length dt [s].
+
+    Stored as the kernels want it, coordinates first and sheep padded to whole vectors:
+    xs (K+1, 2, lanes) [m], vs (K+1, 2, lanes) [m/s], ds (K+1, 2, M) [m]; n sheep are real.
+    Read it through x, v and d, which are views.
+    """
+
+    dt: float
+    n: int
+    xs: Array
+    vs: Array
+    ds: Array
+
+    @property
+    def x(self) -> Array:
+        """Positions of the sheep, (K+1, N, 2) [m]; entry 0 is the start."""
+        return self.xs[:, :, : self.n].transpose(0, 2, 1)
+
+    @property
+    def v(self) -> Array:
+        """Velocities of the sheep, (K+1, N, 2) [m/s]."""
+        return self.vs[:, :, : self.n].transpose(0, 2, 1)
+
+    @property
+    def d(self) -> Array:
+        """Positions of the dogs, (K+1, M, 2) [m]."""
+        return self.ds.transpose(0, 2, 1)
+
+    def at(self, k: int) -> HerdState:
+        """Return the state after k steps; -1 is the end."""
+        return HerdState(self.x[k], self.v[k], self.d[k])

@@ -1,0 +1,1 @@
+"""The ROS 2 nodes: thin shells that convert messages and call the core."""
