@@ -1,0 +1,1 @@
+"""rosbag2 bags: writing one, and reading one back into arrays. No rclpy here."""

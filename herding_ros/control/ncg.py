@@ -1,0 +1,63 @@
+"""Projected nonlinear conjugate gradient with the Armijo rule (paper, Algorithm 2)."""
+
+from __future__ import annotations
+
+import math
+
+from herding_ros.model.state import Array
+
+from .solution import InnerProduct, Projection, Solution, Status, ValueAndGradient
+
+_SUFFICIENT_DECREASE = 1e-4
+_BACKTRACKS = 40
+
+
+def ncg(
+    value_and_gradient: ValueAndGradient,
+    project: Projection,
+    start: Array,
+    inner: InnerProduct,
+    tolerance: float,
+    max_iterations: int,
+) -> Solution:
+    """Minimise over a convex set, given the projection onto it.
+
+    Conjugate directions by Polak and Ribiere (restarted when negative or uphill), step size
+    s by halving until f(P(u + s d)) <= f(u) - c/s |P(u + s d) - u|^2 (Armijo rule along the
+    projection arc). Stops, as the paper does, when a step is at most `tolerance` long.
+    """
+    u = project(start)
+    value, gradient = value_and_gradient(u)
+    calls = 1
+    direction = -gradient
+    size = 1.0
+    status = Status.ITERATION_LIMIT
+    iterations = 0
+    while iterations < max_iterations:
+        for _ in range(_BACKTRACKS):
+            trial = project(u + size * direction)
+            trial_value, trial_gradient = value_and_gradient(trial)
+            calls += 1
+            moved = trial - u
+            length = math.sqrt(inner(moved, moved))
+            if trial_value <= value - _SUFFICIENT_DECREASE / size * length**2:
+                break
+            size *= 0.5
+        else:
+            if direction is not None and inner(direction + gradient, direction + gradient) > 0.0:
+                direction, size = -gradient, 1.0  # restart by steepest descent
+                continue
+            status = Status.NO_DESCENT
+            break
+        iterations += 1
+        beta = inner(trial_gradient, trial_gradient - gradient) / inner(gradient, gradient)
+        u, value, gradient = trial, trial_value, trial_gradient
+        if length <= tolerance:
+            status = Status.CONVERGED
+            break
+        direction = -gradient + max(beta, 0.0) * direction
+        if inner(direction, gradient) >= 0.0:
+            direction = -gradient
+        size *= 2.0
+    step = project(u - gradient) - u
+    return Solution(u, value, math.sqrt(inner(step, step)), status, iterations, calls)

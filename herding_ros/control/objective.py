@@ -1,0 +1,51 @@
+"""The cost J of a plan and its partial derivatives (paper, cost functional)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from herding_ros.model.state import Array, Trajectory
+
+
+@dataclass(frozen=True)
+class Objective:
+    """Tracking cost of a trajectory x of N sheep under a control u.
+
+    J = int a/2 |xc - Z|^2 + b/(2N) sum_i |x_i - xc|^2 + gamma/2 |u - u_ref|^2 dt
+
+    with xc the centre of mass, a = centre_weight, b = spread_weight, gamma = control_weight,
+    Z = reference (K+1, 2) [m] and u_ref = control_reference (intervals, M, 2) [m/s]. Since
+    1/N sum |x_i - Z|^2 = |xc - Z|^2 + 1/N sum |x_i - xc|^2, the paper's cost is a = b = 1.
+    Integrals are right-hand Riemann sums: the start cannot be changed and costs nothing.
+    """
+
+    centre_weight: float
+    spread_weight: float
+    control_weight: float
+    reference: Array
+    control_reference: Array
+
+    def value_and_source(
+        self, trajectory: Trajectory, u: Array, interval: float
+    ) -> tuple[float, Array]:
+        """Return J and its partial derivative with respect to x, shape of trajectory.xs.
+
+        interval [s] is the time for which each u (intervals, M, 2) [m/s] is held.
+        """
+        n, dt = trajectory.n, trajectory.dt
+        x = trajectory.xs[:, :, :n]
+        centre = x.mean(axis=2, keepdims=True)
+        error = centre - self.reference[:, :, None]
+        offset = x - centre
+        error[0] = offset[0] = 0.0
+        change = u - self.control_reference
+        value = (
+            0.5 * dt * self.centre_weight * np.vdot(error, error)
+            + 0.5 * dt * self.spread_weight / n * np.vdot(offset, offset)
+            + 0.5 * interval * self.control_weight * np.vdot(change, change)
+        )
+        source = np.zeros_like(trajectory.xs)
+        source[:, :, :n] = (dt / n) * (self.centre_weight * error + self.spread_weight * offset)
+        return float(value), source

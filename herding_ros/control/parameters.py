@@ -1,0 +1,124 @@
+"""What one can turn in the controller."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from herding_ros.model.parameters import TINY, Parameters, quantity
+
+
+@dataclass(frozen=True)
+class Weights(Parameters):
+    """What the cost weighs; 1, 1 and 1e-2 are the paper's."""
+
+    centre: float = quantity(
+        3.0, "weight of the centre's distance from its reference", '1', low=0.0
+    )
+    spread: float = quantity(1.0, "weight of the sheep's distance from their centre", '1', low=0.0)
+    control: float = quantity(1e-2, 'weight gamma of the control', 's^2', low=TINY)
+
+
+@dataclass(frozen=True)
+class Reference(Parameters):
+    """The trajectory that the centre is asked to follow to the destination."""
+
+    kind: str = quantity(
+        'attainable',
+        'speed at which the reference moves to the destination: one that sheep can keep, '
+        'or (interpolated, as in the paper) what reaches it within one horizon',
+        choices=('attainable', 'interpolated'),
+    )
+    speed: float = quantity(0.02, 'speed of the attainable reference', 'm/s', low=TINY)
+
+
+@dataclass(frozen=True)
+class Horizon(Parameters):
+    """The window that is planned, the part of it that is played, and the time grids."""
+
+    length: float = quantity(20.0, 'time that is planned ahead', 's', low=TINY)
+    accepted: float = quantity(10.0, 'time between two plans, half the length', 's', low=TINY)
+    control_period: float = quantity(0.1, 'time for which a command is constant', 's', low=TINY)
+    substeps: int = quantity(
+        2, 'time steps of the prediction within a control period', low=1, high=1000
+    )
+
+    def __post_init__(self) -> None:
+        """Check that the time grids fit into each other."""
+        super().__post_init__()
+        for name in ('length', 'accepted'):
+            ratio = getattr(self, name) / self.control_period
+            if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+                raise ValueError(
+                    f'Horizon.{name} is {getattr(self, name)!r}, allowed is a multiple of '
+                    f'control_period, {self.control_period!r}'
+                )
+        if self.accepted > self.length:
+            raise ValueError(
+                f'Horizon.accepted is {self.accepted!r}, allowed is at most the length, '
+                f'{self.length!r}'
+            )
+
+    @property
+    def intervals(self) -> int:
+        """Number of control periods in a window."""
+        return round(self.length / self.control_period)
+
+    @property
+    def dt(self) -> float:
+        """Time step of the prediction [s]."""
+        return self.control_period / self.substeps
+
+
+@dataclass(frozen=True)
+class Optimiser(Parameters):
+    """How the deterministic problems are solved."""
+
+    method: str = quantity(
+        'spg',
+        "spectral projected gradient, or the paper's projected nonlinear conjugate gradient",
+        choices=('spg', 'ncg'),
+    )
+    tolerance: float = quantity(
+        5e-3, 'length of the last step (ncg) or of the projected gradient (spg)', 'm/s^0.5', low=0.0
+    )
+    max_iterations: int = quantity(60, 'most iterations of one solve', low=1)
+
+
+@dataclass(frozen=True)
+class Mapping(Parameters):
+    """Aggressive Monte Carlo space mapping (paper, Algorithm 1)."""
+
+    paths: int = quantity(100, 'Monte Carlo paths of the fine model', low=1)
+    max_iterations: int = quantity(3, 'most corrections of a plan; 0 plans without noise', low=0)
+    tolerance: float = quantity(
+        0.05, 'residual |T(u_f) - u_c*| / |u_c*| that is small enough', '1', low=0.0
+    )
+    min_decrease: float = quantity(
+        5e-3, 'stop when the residual decreases by less in an iteration', '1'
+    )
+    observable: str = quantity(
+        'centre',
+        'what parameter extraction matches to the expected centre: the centre, or '
+        '(the paper to the letter) every individual',
+        choices=('centre', 'individuals'),
+    )
+
+
+@dataclass(frozen=True)
+class Control(Parameters):
+    """Everything the controller is told besides the crowd."""
+
+    max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY)
+    weights: Weights = Weights()
+    reference: Reference = Reference()
+    horizon: Horizon = Horizon()
+    optimiser: Optimiser = Optimiser()
+    mapping: Mapping = Mapping()
+
+
+PAPER = Control(
+    weights=Weights(centre=1.0, spread=1.0),
+    reference=Reference(kind='interpolated'),
+    mapping=Mapping(tolerance=0.3),
+)
+"""The paper's own setting: equal weights, interpolated reference, stopping tolerance 0.3."""

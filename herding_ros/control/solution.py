@@ -1,0 +1,36 @@
+"""What an optimiser is given and what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from herding_ros.model.state import Array
+
+ValueAndGradient = Callable[[Array], tuple[float, Array]]
+Projection = Callable[[Array], Array]
+InnerProduct = Callable[[Array, Array], float]
+
+
+class Status(Enum):
+    """Why an iteration ended; the value is what a person reads."""
+
+    CONVERGED = 'converged'
+    ITERATION_LIMIT = 'iteration limit'
+    NO_DESCENT = 'no descent'
+    STAGNATED = 'stagnated'
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The best point an optimiser found: a status is no error, the caller judges."""
+
+    u: Array
+    value: float
+    gradient_norm: float
+    """Norm of the projected gradient P(u - g) - u: zero at a stationary point."""
+    status: Status
+    iterations: int
+    calls: int
+    """Evaluations of value and gradient."""

@@ -1,0 +1,126 @@
+"""Aggressive space mapping with Broyden's update (paper, Algorithm 1, repaired)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from herding_ros.model.state import Array
+
+from .solution import InnerProduct, Projection, Status
+
+
+@dataclass(frozen=True)
+class MappingResult:
+    """The best control for the fine model, and how it was found.
+
+    u: the control with the least misfit; output: the fine model's output under it;
+    residuals: |T(u_f) - u_c| / |u_c| of each iterate; misfits: misfit of each iterate's
+    output, so that misfits[0] is that of the coarse optimum. Iterations are corrections:
+    one less than there are iterates.
+    """
+
+    u: Array
+    output: Array
+    status: Status
+    residuals: tuple[float, ...]
+    misfits: tuple[float, ...]
+
+    @property
+    def iterations(self) -> int:
+        """Number of corrections that were tried."""
+        return len(self.misfits) - 1
+
+
+class Broyden:
+    """Limited-memory Broyden matrix B = I + sum c s^T / |s|^2; B itself is never built."""
+
+    def __init__(self, inner: InnerProduct) -> None:
+        """Start from the identity; inner is the inner product the dyads refer to."""
+        self._inner = inner
+        self._corrections: list[Array] = []
+        self._steps: list[Array] = []
+
+    def times(self, h: Array) -> Array:
+        """Return B h."""
+        out = h.copy()
+        for c, s in zip(self._corrections, self._steps, strict=True):
+            out += c * self._inner(s, h)
+        return out
+
+    def update(self, step: Array, change: Array) -> None:
+        """Make B step = change, keeping B on the orthogonal complement of step."""
+        length = self._inner(step, step)
+        if length > 0.0:
+            self._corrections.append((change - self.times(step)) / length)
+            self._steps.append(step)
+
+    def solve(self, r: Array) -> Array:
+        """Return B^-1 r by the Sherman-Morrison-Woodbury formula; ValueError if singular."""
+        if not self._steps:
+            return r.copy()
+        inner = self._inner
+        gram = np.array([[inner(s, c) for c in self._corrections] for s in self._steps])
+        weights = np.array([inner(s, r) for s in self._steps])
+        try:
+            weights = np.linalg.solve(np.eye(len(gram)) + gram, weights)
+        except np.linalg.LinAlgError as error:
+            raise ValueError('the Broyden matrix is singular') from error
+        return r - sum(w * c for w, c in zip(weights, self._corrections, strict=True))
+
+
+def space_mapping(
+    fine: Callable[[Array], Array],
+    extract: Callable[[Array, Array], Array],
+    misfit: Callable[[Array], float],
+    project: Projection,
+    u_coarse: Array,
+    inner: InnerProduct,
+    tolerance: float,
+    min_decrease: float,
+    max_iterations: int,
+) -> MappingResult:
+    """Find u_f with T(u_f) = u_c, where T(u) = extract(fine(u)).
+
+    fine maps a control to the fine model's output; extract(output, start) returns the coarse
+    control that reproduces an output best, searched from start; u_coarse is the coarse optimum
+    u_c. misfit says how far an output is from the wanted one: the iterate with the least is
+    returned, so the result is never worse than u_c. Stops as the paper does: residual at most
+    `tolerance`, or decreased by less than `min_decrease`, or after `max_iterations`.
+
+    Each step solves B h = -(T(u_f) - u_c) and projects u_f + h. The secant of the update
+    uses the step actually taken, which with the projection differs from h.
+    """
+    scale = math.sqrt(inner(u_coarse, u_coarse)) or 1.0
+    broyden = Broyden(inner)
+    u = u_coarse
+    output = fine(u)
+    misfits = [misfit(output)]
+    best = (misfits[0], u, output)
+    extracted = extract(output, u_coarse)
+    residual = extracted - u_coarse
+    residuals = [math.sqrt(inner(residual, residual)) / scale]
+    status = Status.ITERATION_LIMIT
+    while True:
+        if residuals[-1] <= tolerance:
+            status = Status.CONVERGED
+            break
+        if len(residuals) > 1 and residuals[-2] - residuals[-1] < min_decrease:
+            status = Status.STAGNATED
+            break
+        if len(residuals) > max_iterations:
+            break
+        u_next = project(u - broyden.solve(residual))
+        step, u = u_next - u, u_next
+        output = fine(u)
+        misfits.append(misfit(output))
+        if misfits[-1] < best[0]:
+            best = (misfits[-1], u, output)
+        extracted = extract(output, extracted)
+        previous, residual = residual, extracted - u_coarse
+        residuals.append(math.sqrt(inner(residual, residual)) / scale)
+        broyden.update(step, residual - previous)
+    return MappingResult(best[1], best[2], status, tuple(residuals), tuple(misfits))

@@ -1,0 +1,108 @@
+"""The world: the herd in small noisy steps, and what sensors see of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .admissible import project
+from .dynamics import increments, rollout
+from .flock import arrived, spread
+from .parameters import TINY, Crowd, Parameters, quantity
+from .scenario import initial_herd
+from .state import Array, HerdState
+
+
+@dataclass(frozen=True)
+class World(Parameters):
+    """What the simulated world is like besides the crowd itself."""
+
+    sheep: int = quantity(30, 'number of sheep', low=1)
+    dogs: int = quantity(5, 'number of dogs', low=1)
+    seed: int = quantity(0, 'seed of the initial flock and of all noise', low=0)
+    dt: float = quantity(0.01, 'time step', 's', low=TINY)
+    substeps: int = quantity(10, 'time steps in a control period', low=1)
+    position_noise: float = quantity(
+        0.01, 'standard deviation of observed positions', 'm', low=0.0
+    )
+    velocity_noise: float = quantity(
+        0.005, 'standard deviation of observed velocities', 'm/s', low=0.0
+    )
+    max_speed: float = quantity(5e-2, 'a dog runs no faster than this', 'm/s', low=TINY)
+
+    @property
+    def control_period(self) -> float:
+        """Time between two observations [s]."""
+        return self.dt * self.substeps
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Noisy state of the herd, and the velocities (M, 2) [m/s] of the dogs."""
+
+    state: HerdState
+    dog_velocities: Array
+
+
+def single(values: Array) -> Array:
+    """Round to single precision, in which point clouds are published."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+class Simulation:
+    """The herd at the resolution of the sim: advance() with the commands, then look.
+
+    Everything follows from the seed: the flock, the process noise and the observation noise
+    come from streams of their own, so that looking at the herd does not move it.
+    """
+
+    def __init__(self, crowd: Crowd, world: World, goal: Array) -> None:
+        """Start from the scenario; goal (2,) [m] decides the side the dogs start on."""
+        self.crowd = crowd
+        self.world = world
+        self.goal = goal
+        flock = np.random.default_rng(world.seed)
+        self.state = initial_herd(world.sheep, world.dogs, goal, flock)
+        self.dog_velocities = np.zeros((world.dogs, 2))
+        self.periods = 0
+        self.initial_spread = float(spread(single(self.state.x)))
+        self._process, self._sensor = flock.spawn(2)
+
+    @property
+    def nanoseconds(self) -> int:
+        """Simulated time since the start [ns]."""
+        return self.periods * round(self.world.control_period * 1e9)
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the flock, as it is published, is at the goal and together."""
+        return arrived(single(self.state.x), self.goal, self.initial_spread)
+
+    def advance(self, u: Array) -> None:
+        """Move on by one control period under the dogs' velocities u (M, 2) [m/s].
+
+        Nobody runs faster than the speed limit, whatever is asked for.
+        """
+        world = self.world
+        u = project(u, world.max_speed)
+        noise = increments(
+            self._process, self.crowd, world.sheep, world.dt, world.substeps, paths=1
+        )[0]
+        trajectory = rollout(self.crowd, self.state, u[None], world.dt, world.substeps, noise)
+        self.state = trajectory.at(-1)
+        self.dog_velocities = u
+        self.periods += 1
+
+    def observe(self) -> Observation:
+        """Return the state as sensors see it: true values plus independent Gaussian noise."""
+        noise, world = self._sensor.standard_normal, self.world
+        x, v, d, u = self.state.x, self.state.v, self.state.d, self.dog_velocities
+        return Observation(
+            HerdState(
+                single(x + world.position_noise * noise(x.shape)),
+                single(v + world.velocity_noise * noise(v.shape)),
+                d + world.position_noise * noise(d.shape),
+            ),
+            u + world.velocity_noise * noise(u.shape),
+        )

@@ -1,0 +1,31 @@
+"""Compile the kernels, or load them from Numba's cache: `python -m herding_ros.model.warmup`."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from . import kernels
+from .dynamics import increments, physics, rollout
+from .ensemble import expected_positions
+from .parameters import Crowd
+from .state import HerdState
+
+
+def warm_up() -> float:
+    """Call every kernel once on a tiny herd; return the seconds it took."""
+    started = time.perf_counter()
+    crowd = Crowd()
+    state = HerdState(np.eye(2), np.zeros((2, 2)), np.ones((1, 2)))
+    u = np.zeros((1, 1, 2))
+    noise = increments(np.random.default_rng(0), crowd, 2, 0.01, 1, 1)
+    trajectory = rollout(crowd, state, u, 0.01)
+    expected_positions(crowd, state, u, 0.01, 1, noise)
+    source = np.zeros_like(trajectory.xs)
+    kernels.adjoint(trajectory.xs, trajectory.ds, source, 1, physics(crowd, 2, 0.01), u.copy())
+    return time.perf_counter() - started
+
+
+if __name__ == '__main__':
+    print(f'kernels ready after {warm_up():.1f} s')

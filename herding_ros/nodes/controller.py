@@ -1,0 +1,298 @@
+"""The controller node: from observed sheep and dogs to commands for the dogs.
+
+In lockstep every complete observation is answered, and the solve that is due is done first.
+Otherwise the node keeps its own time: commands go out at every control period, and the next
+window is planned in the background, from the state predicted for its beginning.
+"""
+
+from __future__ import annotations
+
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry, Path
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import PointCloud2
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from herding_ros.control.parameters import Control
+from herding_ros.control.plan import Plan
+from herding_ros.control.receding_horizon import RecedingHorizon, Window
+from herding_ros.model.dynamics import rollout
+from herding_ros.model.parameters import TINY, Parameters, quantity
+from herding_ros.model.state import Array, HerdState
+from herding_ros.model.warmup import warm_up
+
+from . import messages
+from .parameters import declare, declare_crowd
+from .running import ADJUSTABLE, EVERY_MESSAGE, Refusals, is_heard, run
+
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@dataclass(frozen=True)
+class ControllerSettings(Parameters):
+    """How the controller behaves as a ROS node."""
+
+    dogs: int = quantity(5, 'number of dogs', low=1)
+    goal: tuple[float, float] = quantity((0.5, 0.5), 'destination; goal_pose moves it', 'm')
+    seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
+    frame: str = quantity('map', 'frame of all positions')
+    lockstep: bool = quantity(
+        False, 'answer each observation with commands of the same stamp; the sim waits for them'
+    )
+    stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
+    lead: float = quantity(
+        2.0, 'time before its window at which a plan is begun, not in lockstep', 's', low=0.0
+    )
+    state_timeout: float = quantity(
+        1.0, 'dogs stop when the last observation is older, not in lockstep', 's', low=TINY
+    )
+    wait_for: str = quantity('', 'name of a node (a recorder) that must hear everything first')
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The newest complete observation: state and headings (M,) [rad] of the dogs at ns."""
+
+    ns: int
+    state: HerdState
+    headings: Array
+
+
+class Controller(Node):
+    """Space-mapping receding-horizon control behind the topics of real trackers and robots."""
+
+    def __init__(self) -> None:
+        """Declare parameters, make the kernels ready, then listen."""
+        super().__init__('controller')
+        self._settings = declare(self, ControllerSettings())
+        self._crowd = declare_crowd(self)
+        self._control = declare(self, Control())
+        if self._settings.lockstep and not self._settings.stamped:
+            raise ValueError('lockstep needs stamped commands: set stamped to true')
+        self._planner = RecedingHorizon(
+            self._crowd, self._control, np.array(self._settings.goal), self._settings.seed
+        )
+        self._refused = Refusals(self.get_logger())
+        self._dogs = range(1, self._settings.dogs + 1)
+        self._sheep: tuple[int, Array, Array] | None = None
+        self._dog: dict[int, tuple[int, Array, float]] = {}
+        self._answered = -1
+        self._goal_moved = False
+        self._plans = 0
+        # Not in lockstep: the plan that is played, and the one that is being made or waits.
+        self._playing: Plan | None = None
+        self._coming: Future[Window] | None = None
+        self._coming_t0 = 0.0
+        self._worker = ThreadPoolExecutor(1, 'planner')
+        self._missed = 0
+
+        publish = partial(self.create_publisher, qos_profile=EVERY_MESSAGE)
+        kind = TwistStamped if self._settings.stamped else Twist
+        self._commands = [
+            publish(kind, f'dog_{m}/cmd_vel', qos_overriding_options=ADJUSTABLE)
+            for m in self._dogs
+        ]
+        self._plan = self.create_publisher(MultiDOFJointTrajectory, 'plan', _LATCHED)
+        self._herd_path = publish(Path, 'herd/path')
+        self._dog_paths = [publish(Path, f'dog_{m}/path') for m in self._dogs]
+        self._diagnostics = publish(DiagnosticArray, '/diagnostics')
+        seconds = warm_up()
+        self.get_logger().info(f'kernels loaded in {seconds:.1f} s')
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._waiting = self.create_timer(0.02, self._listen_when_heard, clock=wall)
+
+    def _listen_when_heard(self) -> None:
+        """Listen to observations only once nobody misses what they are answered with."""
+        everything = [*self._commands, self._plan, self._herd_path, *self._dog_paths]
+        if self._settings.wait_for and not is_heard(self, everything, self._settings.wait_for):
+            return
+        self.destroy_timer(self._waiting)
+        subscribe = partial(
+            self.create_subscription, qos_profile=10, qos_overriding_options=ADJUSTABLE
+        )
+        for m in self._dogs:
+            subscribe(Odometry, f'dog_{m}/odom', partial(self._on_odometry, m))
+        subscribe(PointCloud2, 'sheep', self._on_sheep)
+        self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1)
+        if not self._settings.lockstep:
+            self.create_timer(self._control.horizon.control_period, self._keep_time)
+        self.get_logger().info(f'ready to herd with {self._settings.dogs} dogs')
+
+    def _on_sheep(self, message: PointCloud2) -> None:
+        try:
+            x, v = messages.sheep_in(message, self._settings.frame)
+        except ValueError as error:
+            self._refused.add('sheep', error)
+            return
+        self._sheep = (messages.nanoseconds(message.header.stamp), x, v)
+        self._answer_when_complete()
+
+    def _on_odometry(self, m: int, message: Odometry) -> None:
+        try:
+            position, heading = messages.dog_in(message, self._settings.frame)
+        except ValueError as error:
+            self._refused.add(f'dog_{m}/odom', error)
+            return
+        self._dog[m] = (messages.nanoseconds(message.header.stamp), position, heading)
+        self._answer_when_complete()
+
+    def _on_goal(self, message: PoseStamped) -> None:
+        try:
+            goal = messages.goal_in(message, self._settings.frame)
+        except ValueError as error:
+            self._refused.add('goal_pose', error)
+            return
+        self._planner.move_goal(goal)
+        self._goal_moved = True
+        self.get_logger().info(f'the destination is now ({goal[0]:g}, {goal[1]:g})')
+
+    def _observed(self) -> Observed | None:
+        """Return the newest observation, as old as its oldest part; None while incomplete."""
+        if self._sheep is None or len(self._dog) < len(self._dogs):
+            return None
+        ns, x, v = self._sheep
+        dogs = [self._dog[m] for m in self._dogs]
+        state = HerdState(x, v, np.array([position for _, position, _ in dogs]))
+        headings = np.array([heading for _, _, heading in dogs])
+        return Observed(min(ns, *(ns for ns, _, _ in dogs)), state, headings)
+
+    # Lockstep: solve when due, then answer.
+
+    def _answer_when_complete(self) -> None:
+        if not self._settings.lockstep or self._sheep is None:
+            return
+        ns = self._sheep[0]
+        complete = all(self._dog.get(m, (None,))[0] == ns for m in self._dogs)
+        if not complete or ns == self._answered:
+            return
+        self._answered = ns
+        observed = self._observed()
+        assert observed is not None
+        t = ns * 1e-9
+        if self._planner.due(t) or self._goal_moved:
+            self._goal_moved = False
+            self._announce(self._planner.solve(observed.state, t), ns, 0.0)
+        assert self._planner.plan is not None
+        self._command(self._planner.plan.at(t), observed.headings, ns)
+
+    # Otherwise: play, and plan ahead in the background.
+
+    def _keep_time(self) -> None:
+        now = self.get_clock().now().nanoseconds
+        t = now * 1e-9
+        observed = self._observed()
+        if observed is None:
+            return
+        if self._playing is not None and self._playing.index(t) < 0:
+            self._playing = self._coming = None  # time was set back: start anew
+            self._planner.restart()
+        fresh = t - observed.ns * 1e-9 <= self._settings.state_timeout
+        if self._coming is None and fresh and self._is_time_to_plan(t):
+            self._begin_plan(observed, t)
+        self._take_over_plan(t, now)
+        if self._playing is None:
+            return
+        u = self._playing.at(t) if fresh else np.zeros((len(self._dogs), 2))
+        self._command(u, observed.headings, now)
+
+    def _is_time_to_plan(self, t: float) -> bool:
+        if self._playing is None or self._goal_moved:
+            return True
+        return t >= self._playing.t0 + self._control.horizon.accepted - self._settings.lead
+
+    def _begin_plan(self, observed: Observed, t: float) -> None:
+        """Plan the next window in the background, from the state predicted for its start."""
+        start = t + self._settings.lead
+        if self._playing is not None and not self._goal_moved:
+            start = max(self._playing.t0 + self._control.horizon.accepted, t)
+        self._goal_moved = False
+        period = self._control.horizon.control_period
+        steps = max(round((start - observed.ns * 1e-9) / period), 0)
+        state = self._predict(observed, steps)
+        self._coming_t0 = start
+        self._coming = self._worker.submit(self._planner.solve, state, start)
+
+    def _predict(self, observed: Observed, periods: int) -> HerdState:
+        """Return the state some control periods after an observation, without noise."""
+        if not periods:
+            return observed.state
+        horizon = self._control.horizon
+        times = observed.ns * 1e-9 + horizon.control_period * np.arange(periods)
+        standing = np.zeros((len(self._dogs), 2))
+        u = [standing if self._playing is None else self._playing.at(t) for t in times]
+        return rollout(
+            self._crowd, observed.state, np.array(u), horizon.dt, horizon.substeps
+        ).at(-1)
+
+    def _take_over_plan(self, t: float, now: int) -> None:
+        """Play the coming plan from the start of its window on; count it when it is late."""
+        if self._coming is None or not self._coming.done() or t < self._coming_t0 - 1e-9:
+            return
+        window = self._coming.result()
+        self._coming = None
+        margin = self._coming_t0 - t
+        late = margin < -0.5 * self._control.horizon.control_period
+        if late and self._playing is not None:
+            self._missed += 1
+            self.get_logger().warning(
+                f'a plan was late by {-margin:.2f} s, the old one was played on; '
+                f'raise lead ({self._settings.lead:g} s) or lower mapping.paths'
+            )
+        self._playing = window.plan
+        self._announce(window, now, margin)
+
+    # Both.
+
+    def _command(self, u: Array, headings: Array, ns: int) -> None:
+        for m, publisher in enumerate(self._commands):
+            message = messages.command(u[m], headings[m], m + 1, ns)
+            publisher.publish(message if self._settings.stamped else message.twist)
+
+    def _announce(self, window: Window, ns: int, margin: float) -> None:
+        """Publish a new plan, what it is expected to do and how it was found."""
+        frame, report = self._settings.frame, window.report
+        substeps = self._control.horizon.substeps
+        dogs, centre = window.dogs[::substeps], window.centre[::substeps]
+        period = window.plan.dt
+        start = round(window.plan.t0 * 1e9)
+        self._plan.publish(messages.trajectory(window.plan, dogs[:-1], start, frame))
+        self._herd_path.publish(messages.path(centre, period, start, frame))
+        for m, publisher in enumerate(self._dog_paths):
+            publisher.publish(messages.path(dogs[:, m], period, start, frame))
+        values = {
+            'replan': self._plans,
+            **messages.report_values(report),
+            'deadline_margin_s': margin,
+            'deadlines_missed': self._missed,
+            **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
+        }
+        self._plans += 1
+        level = DiagnosticStatus.WARN if margin < 0.0 or self._refused.counts else (
+            DiagnosticStatus.OK
+        )
+        self._diagnostics.publish(
+            messages.diagnostics('controller: plan', ns, level, report.status.value, values)
+        )
+
+    def destroy_node(self) -> None:
+        """Let the planner finish what it is at, then destroy the node."""
+        self._worker.shutdown(cancel_futures=True)
+        super().destroy_node()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(Controller, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

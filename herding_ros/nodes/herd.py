@@ -1,0 +1,264 @@
+"""The whole system at once: sim, controller and recorder, a bag, a picture and a summary."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from herding_ros.report.cli import write_report
+
+_ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED, _INTERRUPTED = 0, 1, 2, 3, 130
+_PATIENCE = 20.0
+"""Time that a child gets to end by itself [s]."""
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f'{text} is given, allowed is a number above 0')
+    return value
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f'{text} is given, allowed is a finite number')
+    return value
+
+
+def _not_negative(text: str) -> float:
+    value = _finite(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f'{text} is given, allowed is a number of at least 0')
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f'{text} is given, allowed is an integer of at least 1')
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f'{text} is given, allowed is an integer of at least 0')
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='herd',
+        description='Herd a flock: starts sim, controller and recorder as ROS 2 processes and '
+        'ends when the flock is home and together. Writes bag/ (rosbag2, mcap), '
+        'trajectories.png, summary.json and the logs of the nodes.',
+        epilog='Exit code: 0 the flock arrived, 1 time ran out, 2 bad arguments, 3 a process '
+        'died, 130 interrupted by Ctrl-C. Example: herd --dogs 3 --goal 1 1 --seed 4',
+    )
+    add = parser.add_argument
+    add('--sheep', type=_count, default=30, metavar='N', help='number of sheep (30)')
+    add('--dogs', type=_count, default=5, metavar='M', help='number of dogs (5)')
+    add('--sigma', type=_not_negative, default=0.01, help='noise of the sheep (0.01)')
+    add(
+        '--goal', type=_finite, nargs=2, default=(0.5, 0.5), metavar=('X', 'Y'),
+        help='destination in metres (0.5 0.5); the flock starts around the origin',
+    )  # fmt: skip
+    add('--seed', type=_seed, default=0, help='same seed, same run (0)')
+    add(
+        '--time-limit', type=_positive, default=400.0, metavar='S',
+        help='simulated seconds to try (400)',
+    )  # fmt: skip
+    add(
+        '--real-time', type=_positive, metavar='FACTOR',
+        help='run at FACTOR x real time instead of in lockstep, as fast as possible',
+    )  # fmt: skip
+    add(
+        '--out', type=Path, metavar='DIR',
+        help='where to write (runs/<time>); must not hold a bag yet',
+    )  # fmt: skip
+    return parser
+
+
+class Child:
+    """One node process; what it says goes into a log file."""
+
+    def __init__(self, name: str, parameters: dict[str, object], logs: Path) -> None:
+        """Start the node with the given parameters."""
+        self.name = name
+        self.log = logs / f'{name}.log'
+        arguments = ['--ros-args']
+        for key, value in parameters.items():
+            arguments += ['-p', f'{key}:={_yaml(value)}']
+        # A session of its own: Ctrl-C reaches the children through us, in the right order.
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', f'herding_ros.nodes.{name}', *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=self.log.open('wb'),
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+
+    def end(self) -> None:
+        """Ask the node to end, and insist if it does not."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+    def last_words(self) -> str:
+        """Return the last lines of its log."""
+        return '\n'.join(self.log.read_text(errors='replace').splitlines()[-12:])
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (list, tuple)):
+        return '[' + ', '.join(_yaml(float(each)) for each in value) + ']'
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+class Watcher(Node):
+    """Follows /diagnostics."""
+
+    def __init__(self) -> None:
+        """Subscribe."""
+        super().__init__('herd')
+        self.sim: dict[str, str] = {}
+        self.plan: dict[str, str] = {}
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            if status.name == 'sim: herd':
+                self.sim = values
+            elif status.name == 'controller: plan':
+                self.plan = values
+
+    @property
+    def finished(self) -> bool:
+        """Whether the sim stands still for good."""
+        return self.sim.get('finished') == 'True'
+
+    @property
+    def arrived(self) -> bool:
+        """Whether it does so because the flock is home."""
+        return self.sim.get('arrived') == 'True'
+
+    def line(self, wall: float) -> str:
+        """Say how the herding goes, in one line."""
+        if not self.sim:
+            return f'starting the nodes ... {wall:4.1f} s'
+        t, distance, spread = (float(self.sim[k]) for k in ('time_s', 'distance_m', 'spread_m'))
+        solve = f'{float(self.plan["solve_ms"]):.0f} ms' if self.plan else '-'
+        return (
+            f't {t:5.1f} s  to go {distance:5.3f} m  spread {spread:5.3f} m  '
+            f'solve {solve:>6}  {t / max(wall, 1e-3):4.1f} x real time'
+        )
+
+
+def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
+    lockstep = options.real_time is None
+    shared = {'goal': options.goal, 'lockstep': lockstep, 'wait_for': 'recorder',
+              'dogs': options.dogs, 'seed': options.seed,
+              'crowd.noise': options.sigma}  # fmt: skip
+    recorder = {'bag': options.out / 'bag', 'use_sim_time': True}
+    controller = {**shared, 'use_sim_time': True}
+    sim = {**shared, 'sheep': options.sheep, 'stop_on_arrival': True,
+           'time_limit': options.time_limit}  # fmt: skip
+    if not lockstep:
+        sim['real_time_factor'] = options.real_time
+        # A solve takes wall time: the faster the sim's clock, the earlier it has to begin.
+        controller['lead'] = min(max(2.0, options.real_time), 8.0)
+    return [
+        Child('recorder', recorder, logs),
+        Child('controller', controller, logs),
+        Child('sim', sim, logs),
+    ]
+
+
+def _watch(children: list[Child], watcher: Watcher, console: Console) -> int:
+    """Show how it goes until it is over; return the exit code."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(watcher)
+    begun = None
+    started = shown = time.monotonic()
+    with Live(console=console, refresh_per_second=5, transient=False) as live:
+        while not watcher.finished:
+            executor.spin_once(timeout_sec=0.1)
+            now = time.monotonic()
+            if watcher.sim and begun is None:
+                begun = now
+            line = watcher.line(now - (begun or started))
+            if console.is_terminal:
+                live.update(Text(line))
+            elif now - shown > 5.0:
+                console.print(line, soft_wrap=True)
+                shown = now
+            for child in children:
+                code = child.process.poll()
+                if code is not None:
+                    console.print(f'[red]{child.name} died (exit code {code}):[/red]')
+                    console.print(child.last_words(), markup=False, soft_wrap=True)
+                    return _CHILD_DIED
+        live.update(Text(watcher.line(time.monotonic() - (begun or started))))
+    return _ARRIVED if watcher.arrived else _TIMED_OUT
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the program; see --help for the exit codes."""
+    options = _parser().parse_args(args)
+    console = Console(highlight=False)
+    options.out = (options.out or Path('runs') / time.strftime('%Y-%m-%d_%H-%M-%S')).absolute()
+    if (options.out / 'bag').exists():
+        console.print(f'{options.out}/bag exists already; give another --out', style='red')
+        return _BAD_ARGUMENTS
+    logs = options.out / 'log'
+    try:
+        logs.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        console.print(f'cannot write into {options.out}: {error}', style='red')
+        return _BAD_ARGUMENTS
+
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    watcher = Watcher()
+    children: list[Child] = []
+    try:
+        children = _start_children(options, logs)
+        code = _watch(children, watcher, console)
+    except KeyboardInterrupt:
+        console.print('interrupted: closing the bag')
+        code = _INTERRUPTED
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for child in reversed(children):  # the recorder last, so that it hears everything
+            child.end()
+        watcher.destroy_node()
+        rclpy.try_shutdown()
+    if (options.out / 'bag').exists():
+        write_report(options.out / 'bag', options.out, console)
+    return code
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""Dataclasses of parameters <-> ROS parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+
+from herding_ros.model.parameters import CROWDS, Crowd, Parameters, describe_limits, quantity
+
+_P = TypeVar('_P', bound=Parameters)
+_UNBOUNDED = 1e9
+
+
+def declare(node: Node, defaults: _P, prefix: str = '') -> _P:
+    """Declare every field of `defaults` as a parameter and return them with the values set.
+
+    Nested dataclasses become dotted names. Raises ValueError naming parameter, value and what
+    is allowed.
+    """
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(defaults):
+        default = getattr(defaults, field.name)
+        if isinstance(default, Parameters):
+            values[field.name] = declare(node, default, f'{prefix}{field.name}.')
+        else:
+            values[field.name] = _declare_field(node, prefix + field.name, default, field)
+    try:
+        return dataclasses.replace(defaults, **values)
+    except ValueError as error:
+        raise ValueError(f'parameters {prefix or "of the node"}: {error}') from error
+
+
+def declare_crowd(node: Node) -> Crowd:
+    """Declare the crowd: `crowd.preset` gives the defaults of the other `crowd.` parameters."""
+    choice = quantity('cohesive', 'where the defaults of crowd.* come from', choices=tuple(CROWDS))
+    field = _named('preset', choice)
+    preset = _declare_field(node, 'crowd.preset', field.default, field)
+    return declare(node, CROWDS[preset], 'crowd.')
+
+
+def declare_one(node: Node, name: str, field: Any) -> Any:
+    """Declare a single parameter from a `quantity` and return its value."""
+    named = _named(name, field)
+    return _declare_field(node, name, named.default, named)
+
+
+def _named(name: str, field: Any) -> dataclasses.Field[Any]:
+    holder = dataclasses.make_dataclass('_Holder', [(name, Any, field)])
+    return dataclasses.fields(holder)[0]
+
+
+def _declare_field(node: Node, name: str, default: Any, field: dataclasses.Field[Any]) -> Any:
+    unit = field.metadata['unit']
+    descriptor = ParameterDescriptor(
+        description=field.metadata['doc'] + (f' [{unit}]' if unit not in ('', '1') else ''),
+        additional_constraints=describe_limits(field),
+        read_only=True,
+    )
+    low, high = field.metadata['low'], field.metadata['high']
+    if isinstance(default, int) and not isinstance(default, bool) and low is not None:
+        top = int(high if high is not None else _UNBOUNDED)
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=top, step=0)]
+    if isinstance(default, float) and low is not None:
+        top = float(high if high is not None else _UNBOUNDED)
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=top, step=0.0)
+        ]
+    initial = list(default) if isinstance(default, tuple) else default
+    try:
+        value = node.declare_parameter(name, initial, descriptor).value
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        given = node._parameter_overrides.get(name)
+        raise ValueError(
+            f'parameter {name} is {given.value if given else initial!r}, '
+            f'allowed is {describe_limits(field)}'
+        ) from error
+    return tuple(value) if isinstance(default, tuple) else value

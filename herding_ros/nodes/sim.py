@@ -1,0 +1,272 @@
+"""The sim node: moves the herd and publishes what sensors would see of it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
+
+from herding_ros.model.flock import distance, spread
+from herding_ros.model.parameters import TINY, Parameters, quantity
+from herding_ros.model.simulation import Simulation, World
+from herding_ros.model.state import Array
+from herding_ros.model.warmup import warm_up
+
+from . import messages
+from .parameters import declare, declare_crowd
+from .running import ADJUSTABLE, EVERY_MESSAGE, Refusals, is_heard, run
+
+_PERIODS_PER_MARKER = 5
+
+
+@dataclass(frozen=True)
+class SimSettings(Parameters):
+    """How the sim behaves as a ROS node."""
+
+    goal: tuple[float, float] = quantity(
+        (0.5, 0.5), 'destination, at which the flock is judged; goal_pose moves it', 'm'
+    )
+    frame: str = quantity('map', 'frame of all positions')
+    lockstep: bool = quantity(
+        False, 'wait at each control period for the commands that answer the published state'
+    )
+    real_time_factor: float = quantity(
+        1.0, 'simulated seconds per second when not in lockstep', low=1e-3, high=1e3
+    )
+    stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
+    command_timeout: float = quantity(
+        0.5, 'a dog stops when its last command is older than this', 's', low=TINY
+    )
+    stop_on_arrival: bool = quantity(False, 'stand still once the flock is home and together')
+    time_limit: float = quantity(0.0, 'stand still after this time; 0: never', 's', low=0.0)
+    wait_for: str = quantity('', 'name of a node (a recorder) that must hear everything first')
+
+
+class Sim(Node):
+    """A herd behind the topics of real sheep trackers and robots."""
+
+    def __init__(self) -> None:
+        """Declare parameters and wait until somebody listens."""
+        super().__init__('sim')
+        self._settings = declare(self, SimSettings())
+        self._crowd = declare_crowd(self)
+        self._world = declare(self, World())
+        if self._settings.lockstep and not self._settings.stamped:
+            raise ValueError('lockstep needs stamped commands: set stamped to true')
+        warm_up()
+        self._goal = np.array(self._settings.goal)
+        self._refused = Refusals(self.get_logger())
+        self._wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._paused = False
+        self._finished = False
+
+        publish = partial(
+            self.create_publisher, qos_profile=EVERY_MESSAGE, qos_overriding_options=ADJUSTABLE
+        )
+        dogs = range(1, self._world.dogs + 1)
+        self._sheep = publish(PointCloud2, 'sheep')
+        self._dogs = [publish(Odometry, f'dog_{m}/odom') for m in dogs]
+        self._true_sheep = publish(PointCloud2, 'truth/sheep')
+        self._true_dogs = [publish(Odometry, f'truth/dog_{m}/odom') for m in dogs]
+        self._tick = publish(ClockMessage, '/clock')
+        self._markers = publish(MarkerArray, 'markers')
+        self._diagnostics = publish(DiagnosticArray, '/diagnostics')
+        kind = TwistStamped if self._settings.stamped else Twist
+        self._commands = [
+            self.create_subscription(
+                kind,
+                f'dog_{m}/cmd_vel',
+                partial(self._on_command, m),
+                10,
+                qos_overriding_options=ADJUSTABLE,
+            )
+            for m in dogs
+        ]
+        self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_service(SetBool, '~/pause', self._on_pause)
+        self._restart()
+        self._waiting = self.create_timer(0.02, self._start_when_heard, clock=self._wall)
+
+    def _restart(self) -> None:
+        self._simulation = Simulation(self._crowd, self._world, self._goal)
+        self._finished = False
+        self._forget_commands()
+
+    def _forget_commands(self) -> None:
+        """Stand until commands come; in lockstep, until all that answer the state are there."""
+        self._velocities: list[Array | None] = [None] * self._world.dogs
+        self._received_ns = [0] * self._world.dogs
+
+    def _start_when_heard(self) -> None:
+        if (self._settings.lockstep or self._settings.wait_for) and not self._is_answered():
+            return
+        everything = [
+            *(self._sheep, *self._dogs, self._true_sheep, *self._true_dogs),
+            *(self._tick, self._markers),
+        ]
+        if self._settings.wait_for and not is_heard(self, everything, self._settings.wait_for):
+            return
+        self.destroy_timer(self._waiting)
+        self.get_logger().info(
+            f'herding {self._world.sheep} sheep with {self._world.dogs} dogs, '
+            + ('in lockstep' if self._settings.lockstep
+               else f'{self._settings.real_time_factor:g} x real time')
+        )  # fmt: skip
+        self._publish_state()
+        self.create_timer(0.5, self._publish_diagnostics, clock=self._wall)
+        if not self._settings.lockstep:
+            period = self._world.control_period / self._settings.real_time_factor
+            self.create_timer(period, self._advance_in_real_time, clock=self._wall)
+
+    def _is_answered(self) -> bool:
+        """Whether each dog's commands come from a node that hears sheep and dogs."""
+        sensors = [self._sheep, *self._dogs]
+        return all(
+            any(
+                is_heard(self, sensors, commander.node_name)
+                for commander in self.get_publishers_info_by_topic(commands.topic_name)
+            )
+            for commands in self._commands
+        )
+
+    def _on_command(self, m: int, message: TwistStamped | Twist) -> None:
+        try:
+            twist = message
+            if self._settings.stamped:
+                messages.check_frame(
+                    'command', message.header.frame_id, messages.dog_frame(m), self._settings.frame
+                )
+                twist = message.twist
+            velocity = messages.velocity_in(twist)
+            if self._settings.lockstep and (
+                messages.nanoseconds(message.header.stamp) != self._simulation.nanoseconds
+            ):
+                raise ValueError('its stamp is not that of the published state')
+        except ValueError as error:
+            self._refused.add(f'dog_{m}/cmd_vel', error)
+            return
+        self._velocities[m - 1] = velocity
+        self._received_ns[m - 1] = self._simulation.nanoseconds
+        self._advance_in_lockstep()
+
+    def _advance_in_lockstep(self) -> None:
+        """Move on once every dog has the command that answers the published state."""
+        if not self._settings.lockstep:
+            return
+        given = [u for u in self._velocities if u is not None]
+        if len(given) == self._world.dogs and not self._paused and not self._finished:
+            self._forget_commands()
+            self._advance(np.array(given))
+
+    def _advance_in_real_time(self) -> None:
+        if self._paused or self._finished:
+            return
+        oldest = self._simulation.nanoseconds - self._settings.command_timeout * 1e9
+        self._advance(
+            np.array(
+                [
+                    np.zeros(2) if u is None or received < oldest else u
+                    for u, received in zip(self._velocities, self._received_ns, strict=True)
+                ]
+            )
+        )
+
+    def _advance(self, u: Array) -> None:
+        self._simulation.advance(u)
+        seconds = self._simulation.nanoseconds * 1e-9
+        limit = self._settings.time_limit
+        if self._settings.stop_on_arrival and self._simulation.arrived:
+            self._finish(f'the flock arrived after {seconds:.1f} s')
+        elif limit and seconds > limit - 0.5 * self._world.control_period:
+            self._finish(f'the flock did not arrive within {limit:g} s')
+        self._publish_state()
+        if self._finished:
+            self._publish_diagnostics()
+
+    def _finish(self, why: str) -> None:
+        self._finished = True
+        self.get_logger().info(why)
+
+    def _publish_state(self) -> None:
+        simulation, frame = self._simulation, self._settings.frame
+        ns, true, u = simulation.nanoseconds, simulation.state, simulation.dog_velocities
+        seen = simulation.observe()
+        self._tick.publish(ClockMessage(clock=messages.stamp_of(ns)))
+        for m, publisher in enumerate(self._dogs):
+            publisher.publish(
+                messages.odometry(seen.state.d[m], seen.dog_velocities[m], m + 1, ns, frame)
+            )
+        self._sheep.publish(messages.cloud(seen.state.x, seen.state.v, ns, frame))
+        self._true_sheep.publish(messages.cloud(true.x, true.v, ns, frame))
+        for m, publisher in enumerate(self._true_dogs):
+            publisher.publish(messages.odometry(true.d[m], u[m], m + 1, ns, frame))
+        if simulation.periods % _PERIODS_PER_MARKER == 0:
+            self._markers.publish(messages.markers(true.x, true.d, self._goal, ns, frame))
+
+    def _publish_diagnostics(self) -> None:
+        simulation = self._simulation
+        x = simulation.state.x
+        waiting = [m + 1 for m, u in enumerate(self._velocities) if u is None]
+        if self._finished:
+            summary = 'finished'
+        elif self._paused:
+            summary = 'paused'
+        else:
+            summary = f'waiting for dogs {waiting}' if self._settings.lockstep else 'running'
+        values: dict[str, object] = {
+            'time_s': simulation.nanoseconds * 1e-9,
+            'distance_m': float(distance(x, self._goal)),
+            'spread_m': float(spread(x)),
+            'arrived': simulation.arrived,
+            'finished': self._finished,
+            **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
+        }
+        level = DiagnosticStatus.WARN if self._refused.counts else DiagnosticStatus.OK
+        self._diagnostics.publish(
+            messages.diagnostics('sim: herd', simulation.nanoseconds, level, summary, values)
+        )
+
+    def _on_goal(self, message: PoseStamped) -> None:
+        try:
+            self._goal = messages.goal_in(message, self._settings.frame)
+        except ValueError as error:
+            self._refused.add('goal_pose', error)
+            return
+        self._simulation.goal = self._goal
+        self._finished = False
+        self._advance_in_lockstep()
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._restart()
+        self._publish_state()
+        response.success = True
+        response.message = 'the herd is where it was at the start, and time is 0'
+        return response
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._paused = request.data
+        response.success = True
+        response.message = 'paused' if self._paused else 'running'
+        self._advance_in_lockstep()
+        return response
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(Sim, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Pictures and numbers from a recorded run. No rclpy here."""

@@ -1,0 +1,109 @@
+"""Starts the simulated flock and its controller, and on request the recorder and RViz."""
+
+from datetime import datetime
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+
+def generate_launch_description() -> LaunchDescription:
+    share = FindPackageShare('herding_ros')
+    config = LaunchConfiguration('config')
+    record = LaunchConfiguration('record')
+    lockstep = ParameterValue(LaunchConfiguration('lockstep'), value_type=bool)
+    # Nothing moves before the recorder, if there is one, listens to every topic.
+    wait_for = ParameterValue(
+        PythonExpression(["'recorder' if '", record, "' == 'true' else ''"]), value_type=str
+    )
+
+    arguments = [
+        DeclareLaunchArgument(
+            'config',
+            default_value=PathJoinSubstitution([share, 'config', 'herding.yaml']),
+            description='Parameter file of all nodes',
+        ),
+        DeclareLaunchArgument(
+            'lockstep',
+            default_value='false',
+            choices=['true', 'false'],
+            description='Let the simulation wait for every command instead of the clock',
+        ),
+        DeclareLaunchArgument(
+            'real_time_factor',
+            default_value='10.0',
+            description='Simulated seconds per second, unless in lockstep',
+        ),
+        DeclareLaunchArgument(
+            'record',
+            default_value='false',
+            choices=['true', 'false'],
+            description='Record every topic into a bag',
+        ),
+        DeclareLaunchArgument(
+            'bag',
+            default_value=f'herding_{datetime.now():%Y_%m_%d-%H_%M_%S}',
+            description='Folder of the bag, which must not exist yet',
+        ),
+        DeclareLaunchArgument(
+            'rviz',
+            default_value='false',
+            choices=['true', 'false'],
+            description='Show it in RViz; its goal tool moves the destination',
+        ),
+    ]
+    nodes = [
+        Node(
+            package='herding_ros',
+            executable='sim',
+            name='sim',
+            output='screen',
+            parameters=[
+                config,
+                {
+                    'lockstep': lockstep,
+                    'real_time_factor': ParameterValue(
+                        LaunchConfiguration('real_time_factor'), value_type=float
+                    ),
+                    'wait_for': wait_for,
+                },
+            ],
+        ),
+        Node(
+            package='herding_ros',
+            executable='controller',
+            name='controller',
+            output='screen',
+            parameters=[
+                config,
+                {'lockstep': lockstep, 'wait_for': wait_for, 'use_sim_time': True},
+            ],
+        ),
+        Node(
+            package='herding_ros',
+            executable='recorder',
+            name='recorder',
+            output='screen',
+            parameters=[
+                config,
+                {
+                    'bag': ParameterValue(LaunchConfiguration('bag'), value_type=str),
+                    'use_sim_time': True,
+                },
+            ],
+            condition=IfCondition(record),
+        ),
+        Node(
+            package='rviz2',
+            executable='rviz2',
+            name='rviz2',
+            arguments=['-d', PathJoinSubstitution([share, 'rviz', 'herding.rviz'])],
+            parameters=[{'use_sim_time': True}],
+            condition=IfCondition(LaunchConfiguration('rviz')),
+        ),
+    ]
+    return LaunchDescription([*arguments, *nodes])
