@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -113,3 +114,19 @@ def to_yaml(data: Any) -> str:
     return yaml.dump(
         data, Dumper=_Dumper, default_flow_style=False, sort_keys=False, width=float('inf')
     )
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """Return the map of a bag.
+
+    Raises FileNotFoundError when there is none, ValueError when it cannot be understood.
+    """
+    file = folder / FILE_NAME
+    if not file.is_file():
+        what = 'has not been closed' if any(folder.glob('*.mcap')) else 'is no bag'
+        raise FileNotFoundError(f'{folder} {what}: there is no {FILE_NAME}')
+    try:
+        content = yaml.safe_load(file.read_text(encoding='utf-8'))
+        return dict(content[ROOT_KEY])
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f'{file} does not describe a bag: {error}') from error

@@ -77,7 +77,8 @@ class Recorder(Node):
         self._queries: dict[str, ParameterQuery] = {}
         self._parameters_of: dict[str, dict[str, Any]] = {}
         self._waiting: list[Received] = []  # for the first /clock
-        self._sim_time_ns: int | None = None
+        self._clock_ns: int | None = None  # the last /clock
+        self._sim_time_ns = 0
         self._bytes = 0
         self._lost = 0
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -175,7 +176,9 @@ class Recorder(Node):
             tap.destroy()
 
     def _take_all(self) -> list[Received]:
-        received = [message for tap in self._taps.values() for message in tap.take()]
+        # The clock last: whatever has come in before is then of a time that is known.
+        taps = sorted(self._taps.values(), key=lambda tap: tap.topic == CLOCK)
+        received = [message for tap in taps for message in tap.take()]
         received.sort(key=attrgetter('publish_ns'))
         return received
 
@@ -185,23 +188,30 @@ class Recorder(Node):
         What comes before the first /clock gets the time of the latter, however long it takes.
         """
         self._waiting += received
-        if self._in_simulation and self._sim_time_ns is None:
+        if self._in_simulation and self._clock_ns is None:
             clock = next((message for message in self._waiting if message.topic == CLOCK), None)
             if clock is not None:
-                self._sim_time_ns = _clock_ns(clock.data)
+                self._clock_ns = self._sim_time_ns = _clock_ns(clock.data)
             elif not last:
                 return
         log_ns = 0
         for message in self._waiting:
-            if self._sim_time_ns is None:
+            if self._clock_ns is None:
                 log_ns = max(log_ns, message.receive_ns)
             else:
                 if message.topic == CLOCK:
-                    self._sim_time_ns = _clock_ns(message.data)
+                    self._follow_clock(_clock_ns(message.data))
                 log_ns = self._sim_time_ns
             self._bag.write(message.topic, message.data, log_ns, message.publish_ns)
             self._bytes += len(message.data)
         self._waiting.clear()
+
+    def _follow_clock(self, clock_ns: int) -> None:
+        # A reset of the simulation takes its clock back; a bag whose times went back as well
+        # would play both runs at once.
+        if self._clock_ns is not None:
+            self._sim_time_ns += max(clock_ns - self._clock_ns, 0)
+        self._clock_ns = clock_ns
 
     def _count_lost(self) -> None:
         for topic, tap in self._taps.items():

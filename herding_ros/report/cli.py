@@ -1,0 +1,97 @@
+"""The program `report`: a bag's picture, summary and table of topics."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+import sys
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from herding_ros.bag.reader import read_run
+from herding_ros.bag.run import Run
+
+from .figures import save_trajectories
+from .summary import summarise
+
+
+def write_report(
+    bag: str | os.PathLike[str], out: str | os.PathLike[str], console: Console
+) -> dict[str, Any]:
+    """Write trajectories.png and summary.json of a bag into the folder out, and print them.
+
+    Returns the summary. Raises what `read_run` raises, and OSError when out cannot be
+    written.
+    """
+    run = read_run(bag)
+    summary = summarise(run)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    picture, numbers = folder / 'trajectories.png', folder / 'summary.json'
+    save_trajectories(run, picture)
+    numbers.write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
+    console.print(_table(run))
+    console.print(_in_words(summary), highlight=False)
+    console.print(f'{picture}\n{numbers}', highlight=False, soft_wrap=True)
+    return summary
+
+
+def _table(run: Run) -> Table:
+    table = Table(box=None, header_style='bold', pad_edge=False)
+    table.add_column('topic')
+    table.add_column('type', overflow='fold')
+    table.add_column('messages', justify='right')
+    table.add_column('rate [Hz]', justify='right')
+    for topic in run.topics:
+        table.add_row(topic.name, topic.type, str(topic.count), f'{topic.rate:.1f}')
+    return table
+
+
+def _in_words(summary: dict[str, Any]) -> str:
+    x, y = summary['goal']
+    result = 'arrived after' if summary['arrived'] else 'did not arrive within'
+    lines = [
+        f'{summary["sheep"]} sheep, {summary["dogs"]} dogs, to ({x:g}, {y:g}): '
+        f'{result} {summary["time_s"]:.1f} s',
+        f'distance at the end {summary["final_distance_m"]:.3f} m, spread at most '
+        f'{summary["max_spread_m"]:.3f} m (start {summary["initial_spread_m"]:.3f} m)',
+    ]
+    if summary['solve_ms_median'] is not None:
+        lines.append(
+            f'{summary["replans"]} replans, solved in {summary["solve_ms_median"]:.0f} ms '
+            f'(median), {summary["solve_ms_max"]:.0f} ms (longest)'
+        )
+    if summary['real_time_factor'] is not None:
+        lines.append(
+            f'{summary["messages_recorded"]} messages, {summary["wall_s"]:.1f} s of wall time, '
+            f'{summary["real_time_factor"]:.1f} × real time'
+        )
+    return '\n'.join(lines)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the program. Returns 0, 2 when the bag cannot be read or the report not written."""
+    parser = argparse.ArgumentParser(
+        prog='report',
+        description='Draw and summarise a recorded run: trajectories.png and summary.json.',
+    )
+    parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2 bag')
+    parser.add_argument(
+        '--out', type=Path, metavar='DIR', help='folder to write to (default: the one of BAG)'
+    )
+    options = parser.parse_args(args)
+    out = options.out or options.bag.absolute().parent
+    try:
+        write_report(options.bag, out, Console())
+    except (OSError, ValueError) as error:
+        print(f'report: {error}', file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
