@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 import json
 from pathlib import Path
 from typing import Any
@@ -12,84 +11,130 @@ from rosbags.typesys import get_typestore, Stores
 from herding_ros.bag.writer import BagWriter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-T = STORE.types
-PERIOD_NS = 100_000_000
+CLOUD = np.dtype([('id', '<u4'), *((name, '<f4') for name in ('x', 'y', 'z', 'vx', 'vy', 'vz'))])
 
 
-def stamped(ns: int, frame: str = 'map') -> Any:
-    stamp = T['builtin_interfaces/msg/Time'](sec=ns // 10**9, nanosec=ns % 10**9)
-    return T['std_msgs/msg/Header'](stamp=stamp, frame_id=frame)
+class RunRecorder:
+    """Writes what the nodes publish in a run into a bag, made with rosbags' messages."""
 
-
-def vector(x: float, y: float) -> Any:
-    return T['geometry_msgs/msg/Vector3'](x=float(x), y=float(y), z=0.0)
-
-
-def pose(x: float, y: float) -> Any:
-    return T['geometry_msgs/msg/Pose'](
-        position=T['geometry_msgs/msg/Point'](x=float(x), y=float(y), z=0.0),
-        orientation=T['geometry_msgs/msg/Quaternion'](x=0.0, y=0.0, z=0.0, w=1.0),
-    )
-
-
-def twist(x: float, y: float) -> Any:
-    return T['geometry_msgs/msg/Twist'](linear=vector(x, y), angular=vector(0, 0))
-
-
-def cloud(ns: int, x: np.ndarray, v: np.ndarray) -> Any:
-    dtype = np.dtype(
-        [('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('vx', '<f4'), ('vy', '<f4'),
-         ('vz', '<f4')]
-    )  # fmt: skip
-    points = np.zeros(len(x), dtype)
-    points['id'] = np.arange(len(x))
-    points['x'], points['y'] = x.T
-    points['vx'], points['vy'] = v.T
-    kinds = {'<u4': 6, '<f4': 7}
-    fields = [
-        T['sensor_msgs/msg/PointField'](
-            name=name, offset=offset, datatype=kinds[kind.str], count=1
+    def __init__(self, path: Path, parameters: dict[str, Any] | None = None) -> None:
+        parameters = parameters or {}
+        self.bag = BagWriter(
+            path, {'herding_ros_version': '9.8.7', 'parameters': json.dumps(parameters)}
         )
-        for name, (kind, offset) in dtype.fields.items()
-    ]
-    return T['sensor_msgs/msg/PointCloud2'](
-        header=stamped(ns), height=1, width=len(x), fields=fields, is_bigendian=False,
-        point_step=dtype.itemsize, row_step=dtype.itemsize * len(x),
-        data=np.frombuffer(points.tobytes(), np.uint8), is_dense=True,
-    )  # fmt: skip
+        self.log_ns = 0
+        self.publish_ns = 1_700_000_000_000_000_000
 
+    def __enter__(self) -> RunRecorder:
+        return self
 
-def odometry(ns: int, x: float, y: float) -> Any:
-    covariance = np.zeros(36)
-    return T['nav_msgs/msg/Odometry'](
-        header=stamped(ns),
-        child_frame_id='dog',
-        pose=T['geometry_msgs/msg/PoseWithCovariance'](pose=pose(x, y), covariance=covariance),
-        twist=T['geometry_msgs/msg/TwistWithCovariance'](
-            twist=twist(0, 0), covariance=covariance
-        ),
-    )
+    def __exit__(self, *_: object) -> None:
+        self.bag.close()
 
+    def write(self, topic: str, message: Any) -> None:
+        name = message.__msgtype__
+        if topic not in self.bag.topics:
+            definition, _ = STORE.generate_msgdef(name, ros_version=2)
+            self.bag.add_topic(topic, name, definition, [], STORE.hash_rihs01(name))
+        self.bag.write(
+            topic, bytes(STORE.serialize_cdr(message, name)), self.log_ns, self.publish_ns
+        )
 
-def command(ns: int, x: float, y: float) -> Any:
-    return T['geometry_msgs/msg/TwistStamped'](header=stamped(ns), twist=twist(x, y))
+    def make(self, name: str, /, **fields: Any) -> Any:
+        package, kind = name.split('/')
+        return STORE.types[f'{package}/msg/{kind}'](**fields)
 
+    def header(self, ns: int) -> Any:
+        stamp = self.make('builtin_interfaces/Time', sec=ns // 10**9, nanosec=ns % 10**9)
+        return self.make('std_msgs/Header', stamp=stamp, frame_id='map')
 
-def plan_status(ns: int, **values: Any) -> Any:
-    pair = T['diagnostic_msgs/msg/KeyValue']
-    status = T['diagnostic_msgs/msg/DiagnosticStatus'](
-        level=0, name='controller: plan', message='', hardware_id='',
-        values=[pair(key=key, value=str(value)) for key, value in values.items()],
-    )  # fmt: skip
-    return T['diagnostic_msgs/msg/DiagnosticArray'](header=stamped(ns), status=[status])
+    def pose(self, at: Any) -> Any:
+        return self.make(
+            'geometry_msgs/Pose',
+            position=self.make('geometry_msgs/Point', x=float(at[0]), y=float(at[1]), z=0.0),
+            orientation=self.make('geometry_msgs/Quaternion', x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+
+    def twist(self, u: Any) -> Any:
+        linear = self.make('geometry_msgs/Vector3', x=float(u[0]), y=float(u[1]), z=0.0)
+        angular = self.make('geometry_msgs/Vector3', x=0.0, y=0.0, z=0.0)
+        return self.make('geometry_msgs/Twist', linear=linear, angular=angular)
+
+    def sheep(
+        self, topic: str, ns: int, x: Any, v: Any, ids: Any = None, dtype: np.dtype[Any] = CLOUD
+    ) -> None:
+        points = np.zeros(len(x), dtype)
+        points['id'] = np.arange(len(x)) if ids is None else ids
+        points['x'], points['y'] = np.transpose(x)
+        points['vx'], points['vy'] = np.transpose(v)
+        kinds = {('u', 4): 6, ('f', 4): 7, ('f', 8): 8}
+        assert dtype.fields is not None
+        fields = [
+            self.make(
+                'sensor_msgs/PointField',
+                name=name,
+                offset=offset,
+                datatype=kinds[kind.kind, kind.itemsize],
+                count=1,
+            )
+            for name, (kind, offset) in dtype.fields.items()
+        ]
+        cloud = self.make(
+            'sensor_msgs/PointCloud2',
+            header=self.header(ns),
+            height=1,
+            width=len(x),
+            fields=fields,
+            is_bigendian=dtype['x'].byteorder == '>',
+            point_step=dtype.itemsize,
+            row_step=dtype.itemsize * len(x),
+            data=np.frombuffer(points.tobytes(), np.uint8),
+            is_dense=True,
+        )
+        self.write(topic, cloud)
+
+    def odometry(self, topic: str, ns: int, at: Any) -> None:
+        pose = self.make(
+            'geometry_msgs/PoseWithCovariance', pose=self.pose(at), covariance=np.zeros(36)
+        )
+        twist = self.make(
+            'geometry_msgs/TwistWithCovariance', twist=self.twist((0, 0)), covariance=np.zeros(36)
+        )
+        header = self.header(ns)
+        self.write(
+            topic,
+            self.make(
+                'nav_msgs/Odometry', header=header, child_frame_id='', pose=pose, twist=twist
+            ),
+        )
+
+    def command(self, topic: str, ns: int, u: Any) -> None:
+        header, twist = self.header(ns), self.twist(u)
+        self.write(topic, self.make('geometry_msgs/TwistStamped', header=header, twist=twist))
+
+    def goal(self, ns: int, at: Any) -> None:
+        header, pose = self.header(ns), self.pose(at)
+        self.write('/goal_pose', self.make('geometry_msgs/PoseStamped', header=header, pose=pose))
+
+    def diagnostics(self, name: str, ns: int, **values: Any) -> None:
+        status = self.make(
+            'diagnostic_msgs/DiagnosticStatus',
+            level=0,
+            name=name,
+            message='',
+            hardware_id='',
+            values=[
+                self.make('diagnostic_msgs/KeyValue', key=key, value=str(value))
+                for key, value in values.items()
+            ],
+        )
+        header = self.header(ns)
+        self.write(
+            '/diagnostics',
+            self.make('diagnostic_msgs/DiagnosticArray', header=header, status=[status]),
+        )
 
 
 @pytest.fixture(scope='session')
-def messages() -> Any:
-    """The makers of messages above, for tests that write bags of their own."""
-    import types
-
-    return types.SimpleNamespace(
-        cloud=cloud, odometry=odometry, command=command, plan_status=plan_status, twist=twist,
-        pose=pose, stamped=stamped, types=T,
-    )  # fmt: skip
+def run_recorder() -> type[RunRecorder]:
+    return RunRecorder

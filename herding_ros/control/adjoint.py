@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from herding_ros.model import kernels
 from herding_ros.model.dynamics import physics, rollout
@@ -55,3 +58,61 @@ class CoarseModel:
         gradient /= self.interval
         gradient += objective.control_weight * (u - objective.control_reference)
         return value, gradient
+
+    def centre_sensitivity(self, u: Array, every: int) -> CentreSensitivity:
+        """Return the derivative of the sheep's centre at u, at every so many-th step.
+
+        One reverse sweep for each of those steps and coordinates, on all cores.
+        """
+        trajectory = self.rollout(u)
+        steps = len(trajectory.xs) - 1
+        nodes = np.arange(every, steps + 1, every)
+        rows = np.zeros((len(nodes), 2, *u.shape))
+        constants = physics(self.crowd, trajectory.n, self.dt)
+        sources = np.zeros((2, *trajectory.xs.shape))
+        for c in range(2):
+            sources[c, -1, c, : trajectory.n] = 1.0 / trajectory.n
+
+        def sweep(i: int) -> None:
+            k = nodes[i]
+            for c in range(2):
+                kernels.adjoint(
+                    trajectory.xs[: k + 1],
+                    trajectory.ds[: k + 1],
+                    sources[c, steps - k :],
+                    self.substeps,
+                    constants,
+                    rows[i, c],
+                )
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(sweep, range(len(nodes))))
+        weight = np.sqrt(every * self.dt)
+        matrix = weight * rows.reshape(2 * len(nodes), -1)
+        return CentreSensitivity(matrix, nodes, weight, u.shape, self.interval)
+
+
+@dataclass(frozen=True)
+class CentreSensitivity:
+    """Derivative of the centre at some steps (`nodes`) of a window with respect to u.
+
+    Residuals are weighted so that their sum of squares is an L2(0, T) norm squared.
+    """
+
+    matrix: Array
+    nodes: NDArray[np.int_]
+    weight: float
+    shape: tuple[int, ...]
+    interval: float
+
+    def residual(self, difference: Array) -> Array:
+        """Return a difference of centres (K+1, 2) [m] as residuals (2 nodes,)."""
+        return self.weight * difference[self.nodes].ravel()
+
+    def times(self, du: Array) -> Array:
+        """Return the change of the residuals under a change du of the control."""
+        return self.matrix @ du.ravel()
+
+    def transposed(self, e: Array) -> Array:
+        """Return the adjoint of `times` in L2(0, T)."""
+        return (e @ self.matrix).reshape(self.shape) / self.interval

@@ -12,9 +12,9 @@ class Weights(Parameters):
     """What the cost weighs; 1, 1 and 1e-2 are the paper's."""
 
     centre: float = quantity(
-        3.0, "weight of the centre's distance from its reference", '1', low=0.0
+        3.0, "weight of the centre's distance from its reference", low=0.0
     )
-    spread: float = quantity(1.0, "weight of the sheep's distance from their centre", '1', low=0.0)
+    spread: float = quantity(1.0, "weight of the sheep's distance from their centre", low=0.0)
     control: float = quantity(1e-2, 'weight gamma of the control', 's^2', low=TINY)
 
 
@@ -86,19 +86,32 @@ class Optimiser(Parameters):
 
 @dataclass(frozen=True)
 class Mapping(Parameters):
-    """Aggressive Monte Carlo space mapping (paper, Algorithm 1)."""
+    """Monte Carlo space mapping: the correction of a plan for the noise."""
 
+    method: str = quantity(
+        'output',
+        "compare the models' outputs, or (aggressive: the paper's Algorithm 1) their controls",
+        choices=('output', 'aggressive'),
+    )
     paths: int = quantity(100, 'Monte Carlo paths of the fine model', low=1)
     max_iterations: int = quantity(3, 'most corrections of a plan; 0 plans without noise', low=0)
+    accuracy: float = quantity(
+        1e-3,
+        "output: root mean square of the expected centre's error that is small enough",
+        'm',
+        low=TINY,
+    )
     tolerance: float = quantity(
-        0.05, 'residual |T(u_f) - u_c*| / |u_c*| that is small enough', '1', low=0.0
+        0.3,
+        'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is small enough',
+        low=0.0,
     )
     min_decrease: float = quantity(
-        5e-3, 'stop when the residual decreases by less in an iteration', '1'
+        5e-3, 'aggressive: stop when the residual decreases by less in an iteration'
     )
     observable: str = quantity(
         'centre',
-        'what parameter extraction matches to the expected centre: the centre, or '
+        'aggressive: what parameter extraction matches to the expected centre, the centre or '
         '(the paper to the letter) every individual',
         choices=('centre', 'individuals'),
     )
@@ -119,6 +132,6 @@ class Control(Parameters):
 PAPER = Control(
     weights=Weights(centre=1.0, spread=1.0),
     reference=Reference(kind='interpolated'),
-    mapping=Mapping(tolerance=0.3),
+    mapping=Mapping(method='aggressive'),
 )
-"""The paper's own setting: equal weights, interpolated reference, stopping tolerance 0.3."""
+"""The paper's own setting: equal weights, interpolated reference, aggressive mapping."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 
@@ -14,20 +14,30 @@ from herding_ros.model.admissible import project
 from herding_ros.model.dynamics import increments
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
+from herding_ros.model.kernels import lanes
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, HerdState, finite
 
-from .adjoint import CoarseModel
+from . import space_mapping
+from .adjoint import CentreSensitivity, CoarseModel
+from .gauss_newton import gauss_newton
 from .ncg import ncg
 from .objective import Objective
 from .parameters import Control, Reference
 from .plan import Plan
 from .solution import Solution, Status
-from .space_mapping import MappingResult, space_mapping
+from .space_mapping import MappingResult
 from .spg import spg
 
 _OPTIMISERS = {'spg': spg, 'ncg': ncg}
-_T = TypeVar('_T')
+
+_NODE_SPACING = 0.5
+"""Time between the instants at which parameter extraction compares centres [s].
+
+Sheep answer within 1 / friction = 2 s: a centre moves smoothly in between.
+"""
+_EXTRACTION_TOLERANCE = 1e-4
+_EXTRACTION_ITERATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -40,11 +50,13 @@ class SolveReport:
     gradient_norm: float
     optimiser_iterations: int
     optimiser_calls: int
-    """Evaluations of value and gradient, those of parameter extraction included."""
+    """Evaluations of value and gradient."""
+    extraction_calls: int
+    """Rollouts of the coarse model in parameter extraction."""
     mapping_status: Status
     mapping_iterations: int
     mapping_residuals: tuple[float, ...]
-    """|T(u_f) - u_c| / |u_c| of each iterate; empty without mapping."""
+    """|T(u_f) - u_c| / |u_c| of each iterate; empty without aggressive mapping."""
     mapping_error_before: float
     """|X - x_c| in L2(0, T) [m s^0.5] under the coarse plan; 0 without mapping."""
     mapping_error_after: float
@@ -128,79 +140,147 @@ class RecedingHorizon:
     def solve(self, state: HerdState, t: float) -> Window:
         """Plan the window that starts at t [s] in the given state."""
         clock = _Stopwatch()
-        horizon, control = self.control.horizon, self.control
+        control, horizon = self.control, self.control.horizon
         coarse = CoarseModel(self.crowd, state, horizon.dt, horizon.substeps)
-        admissible = partial(project, max_speed=control.max_speed)
-        optimise = partial(
-            _OPTIMISERS[control.optimiser.method],
-            project=admissible,
-            inner=coarse.inner,
-            tolerance=control.optimiser.tolerance,
-            max_iterations=control.optimiser.max_iterations,
+        with clock.phase('coarse'):
+            solution = self._solve_coarse(coarse, t)
+            wanted = centre(coarse.rollout(solution.u).x)
+        if control.mapping.max_iterations:
+            mapping, extractions = self._map(coarse, solution.u, wanted, clock)
+        else:
+            mapping = MappingResult(solution.u, wanted, Status.CONVERGED, (), ())
+            extractions = 0
+        plan = Plan(t, horizon.control_period, mapping.u)
+        self._last = plan
+        report = SolveReport(
+            status=solution.status,
+            objective=solution.value,
+            gradient_norm=solution.gradient_norm,
+            optimiser_iterations=solution.iterations,
+            optimiser_calls=solution.calls,
+            extraction_calls=extractions,
+            mapping_status=mapping.status,
+            mapping_iterations=mapping.iterations,
+            mapping_residuals=mapping.residuals,
+            mapping_error_before=mapping.misfits[0] if mapping.misfits else 0.0,
+            mapping_error_after=min(mapping.misfits, default=0.0),
+            seconds=clock.seconds(),
         )
-        times = horizon.dt * np.arange(horizon.intervals * horizon.substeps + 1)
-        shape = (horizon.intervals, len(state.d), 2)
+        return Window(plan, report, horizon.dt, mapping.output, coarse.rollout(plan.u).d)
 
-        weights = control.weights
+    def _solve_coarse(self, coarse: CoarseModel, t: float) -> Solution:
+        """Minimise the cost of the window without noise, from the last plan on."""
+        horizon, weights = self.control.horizon, self.control.weights
+        times = horizon.dt * np.arange(horizon.intervals * horizon.substeps + 1)
+        u = np.zeros((horizon.intervals, len(coarse.state.d), 2))
         objective = Objective(
             weights.centre,
             weights.spread,
             weights.control,
-            reference(control.reference, centre(state.x), self.goal, times),
-            np.zeros(shape),
+            reference(self.control.reference, centre(coarse.state.x), self.goal, times),
+            u,
         )
-        solution = clock.time(
-            'coarse',
-            lambda: optimise(partial(coarse.value_and_gradient, objective), start=self._start(t, shape)),
+        if self._last is not None and self._last.u.shape == u.shape:
+            u = self._last.shifted(t).u
+        return self._optimise(coarse, objective, u)
+
+    def _optimise(self, coarse: CoarseModel, objective: Objective, start: Array) -> Solution:
+        optimiser = self.control.optimiser
+        return _OPTIMISERS[optimiser.method](
+            partial(coarse.value_and_gradient, objective),
+            self._admissible,
+            start,
+            coarse.inner,
+            optimiser.tolerance,
+            optimiser.max_iterations,
         )
-        u, calls, mapping = solution.u, [solution.calls], None
-        trajectory = coarse.rollout(u)
-        wanted = centre(trajectory.x)
+
+    def _admissible(self, u: Array) -> Array:
+        return project(u, self.control.max_speed)
+
+    def _map(
+        self, coarse: CoarseModel, u_coarse: Array, wanted: Array, clock: _Stopwatch
+    ) -> tuple[MappingResult, int]:
+        """Correct the coarse optimum for the noise; also return the coarse solves' rollouts."""
+        horizon, mapping, gamma = self.control.horizon, self.control.mapping, self.control.weights.control
+        noise = self._common_noise(len(coarse.state.x), len(wanted) - 1)
+        sensitivity: list[CentreSensitivity] = []
+        calls = 0
 
         def fine(u: Array) -> Array:
-            noise = self._common_noise(len(state.x), len(times) - 1)
-            mean = expected_positions(
-                self.crowd, state, u, horizon.dt, horizon.substeps, noise
-            )
-            return centre(mean)
+            with clock.phase('fine'):
+                mean = expected_positions(
+                    self.crowd, coarse.state, u, horizon.dt, horizon.substeps, noise
+                )
+                return centre(mean)
 
-        def extract(output: Array, start: Array) -> Array:
-            individuals = control.mapping.observable == 'individuals'
-            match = Objective(1.0, float(individuals), weights.control, output, solution.u)
-            found = optimise(partial(coarse.value_and_gradient, match), start=start)
-            calls.append(found.calls)
-            return found.u
+        def coarse_centre(u: Array) -> Array:
+            return centre(coarse.rollout(u).x)
+
+        def match(target: Array, start: Array, anchor: Array, weight: float) -> Array:
+            """Admissible control near the anchor under which the coarse centre is at target."""
+            nonlocal calls
+            with clock.phase('extraction'):
+                if not sensitivity:
+                    every = max(round(_NODE_SPACING / horizon.dt), 1)
+                    sensitivity.append(coarse.centre_sensitivity(u_coarse, every))
+                linear = sensitivity[0]
+                found = gauss_newton(
+                    lambda u: linear.residual(coarse_centre(u) - target),
+                    linear,
+                    anchor,
+                    weight,
+                    self._admissible,
+                    start,
+                    coarse.inner,
+                    _EXTRACTION_TOLERANCE,
+                    _EXTRACTION_ITERATIONS,
+                )
+                calls += found.calls
+                return found.u
+
+        def match_individuals(target: Array, start: Array) -> Array:
+            nonlocal calls
+            with clock.phase('extraction'):
+                objective = Objective(1.0, 1.0, gamma, target, u_coarse)
+                found = self._optimise(coarse, objective, start)
+                calls += found.calls
+                return found.u
 
         def misfit(output: Array) -> float:
             return float(np.sqrt(horizon.dt * np.square(output - wanted).sum()))
 
-        expected = wanted
-        if control.mapping.max_iterations:
-            mapping = space_mapping(
-                lambda u: clock.time('fine', lambda: fine(u)),
-                lambda output, start: clock.time('extraction', lambda: extract(output, start)),
+        if mapping.method == 'output':
+            result = space_mapping.output(
+                fine,
+                coarse_centre,
+                lambda target, u, damping: match(target, u, u, damping),
                 misfit,
-                admissible,
-                u,
-                coarse.inner,
-                control.mapping.tolerance,
-                control.mapping.min_decrease,
-                control.mapping.max_iterations,
+                u_coarse,
+                gamma,
+                mapping.accuracy * np.sqrt(horizon.length),
+                mapping.max_iterations,
             )
-            u, expected = mapping.u, mapping.output
-        self._last = Plan(t, horizon.control_period, u)
-        report = _report(solution, mapping, sum(calls), clock)
-        return Window(self._last, report, horizon.dt, expected, coarse.rollout(u).d)
-
-    def _start(self, t: float, shape: tuple[int, int, int]) -> Array:
-        """Return where the optimiser starts: the last plan, shifted, or standing dogs."""
-        if self._last is None or self._last.u.shape != shape:
-            return np.zeros(shape)
-        return self._last.shifted(t).u
+        else:
+            result = space_mapping.aggressive(
+                fine,
+                match_individuals
+                if mapping.observable == 'individuals'
+                else lambda target, start: match(target, start, u_coarse, gamma),
+                misfit,
+                self._admissible,
+                u_coarse,
+                coarse.inner,
+                mapping.tolerance,
+                mapping.min_decrease,
+                mapping.max_iterations,
+            )
+        return result, calls
 
     def _common_noise(self, n: int, steps: int) -> Array:
         paths, dt = self.control.mapping.paths, self.control.horizon.dt
-        if self._noise is None or self._noise.shape[:2] != (paths, steps):
+        shape = (paths, steps, 2, lanes(n))
+        if self._noise is None or self._noise.shape != shape:
             rng = np.random.default_rng(self.seed)
             self._noise = increments(rng, self.crowd, n, dt, steps, paths)
         return self._noise
@@ -210,32 +290,14 @@ class _Stopwatch:
     """Seconds spent in each phase."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = {'coarse': 0.0, 'fine': 0.0, 'extraction': 0.0}
+        self._seconds = {'coarse': 0.0, 'fine': 0.0, 'extraction': 0.0}
         self._started = time.perf_counter()
 
-    def time(self, phase: str, work: Callable[[], _T]) -> _T:
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
         started = time.perf_counter()
-        result = work()
-        self.seconds[phase] += time.perf_counter() - started
-        return result
+        yield
+        self._seconds[name] += time.perf_counter() - started
 
-    def total(self) -> dict[str, float]:
-        return {**self.seconds, 'total': time.perf_counter() - self._started}
-
-
-def _report(
-    solution: Solution, mapping: MappingResult | None, calls: int, clock: _Stopwatch
-) -> SolveReport:
-    return SolveReport(
-        status=solution.status,
-        objective=solution.value,
-        gradient_norm=solution.gradient_norm,
-        optimiser_iterations=solution.iterations,
-        optimiser_calls=calls,
-        mapping_status=mapping.status if mapping else Status.CONVERGED,
-        mapping_iterations=mapping.iterations if mapping else 0,
-        mapping_residuals=mapping.residuals if mapping else (),
-        mapping_error_before=mapping.misfits[0] if mapping else 0.0,
-        mapping_error_after=min(mapping.misfits) if mapping else 0.0,
-        seconds=clock.total(),
-    )
+    def seconds(self) -> dict[str, float]:
+        return {**self._seconds, 'total': time.perf_counter() - self._started}

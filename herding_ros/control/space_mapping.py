@@ -1,4 +1,8 @@
-"""Aggressive space mapping with Broyden's update (paper, Algorithm 1, repaired)."""
+"""Two ways to correct the plan of a coarse model with few looks at the fine one.
+
+`aggressive` is the paper's Algorithm 1, repaired: it compares controls. `output` compares what
+the models put out, and needs fewer looks where the controls are at their limits.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +17,16 @@ from herding_ros.model.state import Array
 from .solution import InnerProduct, Projection, Status
 
 
+_DAMPING_FACTOR = 10.0
+
+
 @dataclass(frozen=True)
 class MappingResult:
     """The best control for the fine model, and how it was found.
 
     u: the control with the least misfit; output: the fine model's output under it;
-    residuals: |T(u_f) - u_c| / |u_c| of each iterate; misfits: misfit of each iterate's
-    output, so that misfits[0] is that of the coarse optimum. Iterations are corrections:
-    one less than there are iterates.
+    residuals: |T(u_f) - u_c| / |u_c| of each iterate, where controls are compared; misfits:
+    misfit of each iterate's output, so that misfits[0] is that of the coarse optimum.
     """
 
     u: Array
@@ -59,20 +65,20 @@ class Broyden:
             self._steps.append(step)
 
     def solve(self, r: Array) -> Array:
-        """Return B^-1 r by the Sherman-Morrison-Woodbury formula; ValueError if singular."""
+        """Return B^-1 r by the Sherman-Morrison-Woodbury formula.
+
+        Where B is singular, the solution with the smallest correction.
+        """
         if not self._steps:
             return r.copy()
         inner = self._inner
         gram = np.array([[inner(s, c) for c in self._corrections] for s in self._steps])
-        weights = np.array([inner(s, r) for s in self._steps])
-        try:
-            weights = np.linalg.solve(np.eye(len(gram)) + gram, weights)
-        except np.linalg.LinAlgError as error:
-            raise ValueError('the Broyden matrix is singular') from error
+        dual = np.array([inner(s, r) for s in self._steps])
+        weights = np.linalg.lstsq(np.eye(len(gram)) + gram, dual, rcond=None)[0]
         return r - sum(w * c for w, c in zip(weights, self._corrections, strict=True))
 
 
-def space_mapping(
+def aggressive(
     fine: Callable[[Array], Array],
     extract: Callable[[Array, Array], Array],
     misfit: Callable[[Array], float],
@@ -124,3 +130,44 @@ def space_mapping(
         residuals.append(math.sqrt(inner(residual, residual)) / scale)
         broyden.update(step, residual - previous)
     return MappingResult(best[1], best[2], status, tuple(residuals), tuple(misfits))
+
+
+def output(
+    fine: Callable[[Array], Array],
+    coarse: Callable[[Array], Array],
+    match: Callable[[Array, Array, float], Array],
+    misfit: Callable[[Array], float],
+    u_coarse: Array,
+    damping: float,
+    accuracy: float,
+    max_iterations: int,
+) -> MappingResult:
+    """Find u_f whose fine output is that of u_coarse in the coarse model, by defect correction.
+
+    The coarse model plus the defect fine(u) - coarse(u) seen at the best u so far is a better
+    coarse model: match(target, u, damping) returns the admissible control near u, kept there
+    by the weight damping, whose coarse output is the wanted one less that defect (output space
+    mapping; Echeverria and Hemker 2005 on defect correction). Where the aggressive mapping
+    mirrors a control that is at its limit, and loses what leaves the admissible set, each step
+    here respects the limits. The damping falls tenfold after a success and rises tenfold after
+    a failure (Levenberg and Marquardt). Ends when the misfit is at most `accuracy`.
+    """
+    wanted = coarse(u_coarse)
+    best = u_coarse
+    best_output = fine(best)
+    misfits = [misfit(best_output)]
+    best_misfit = misfits[0]
+    status = Status.ITERATION_LIMIT
+    while best_misfit > accuracy and len(misfits) <= max_iterations:
+        defect = best_output - coarse(best)
+        u = match(wanted - defect, best, damping)
+        u_output = fine(u)
+        misfits.append(misfit(u_output))
+        if misfits[-1] < best_misfit:
+            best, best_output, best_misfit = u, u_output, misfits[-1]
+            damping /= _DAMPING_FACTOR
+        else:
+            damping *= _DAMPING_FACTOR
+    if best_misfit <= accuracy:
+        status = Status.CONVERGED
+    return MappingResult(best, best_output, status, (), tuple(misfits))

@@ -3,14 +3,15 @@ import dataclasses
 import itertools
 import math
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from herding_ros.model.dynamics import forces, increments, rollout
 from herding_ros.model.kernels import lanes
-from herding_ros.model.parameters import CROWDS, Crowd, Morse
+from herding_ros.model.parameters import Crowd, CROWDS, Morse
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
 
@@ -64,7 +65,6 @@ def rotated(points: Array, angle: float) -> Array:
 
 @presets
 @given(n=st.integers(1, 17), m=st.integers(1, 5), seed=st.integers(0, 2**32))
-@settings(max_examples=20, deadline=None)
 def test_forces_are_those_of_the_paper(
     random_herd: HerdMaker, preset: str, n: int, m: int, seed: int
 ) -> None:
@@ -76,18 +76,14 @@ def test_forces_are_those_of_the_paper(
 
 
 @presets
-def test_forces_are_minus_the_gradient_of_the_energy(
-    random_herd: HerdMaker, preset: str
-) -> None:
+def test_forces_are_minus_the_gradient_of_the_energy(random_herd: HerdMaker, preset: str) -> None:
     crowd, state, h = CROWDS[preset], random_herd(6, 3), 1e-6
 
     def energy(x: Array) -> float:
         pairs = sum(
             potential(math.dist(a, b), crowd.sheep) for a, b in itertools.combinations(x, 2)
         )
-        to_dogs = sum(
-            potential(math.dist(a, b), crowd.dog) for a in x for b in state.d
-        )
+        to_dogs = sum(potential(math.dist(a, b), crowd.dog) for a in x for b in state.d)
         return pairs / len(x) + to_dogs
 
     expected = np.zeros_like(state.x)

@@ -1,0 +1,80 @@
+"""Nonlinear least squares over a convex set, with a linearisation that is made once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from herding_ros.model.state import Array
+
+from .solution import InnerProduct, Projection, Solution, Status
+from .spg import spg
+
+_INNER_TOLERANCE = 1e-6
+_INNER_ITERATIONS = 100
+
+
+class Linearisation(Protocol):
+    """The derivative of residuals with respect to u, near the points of interest."""
+
+    def times(self, du: Array) -> Array:
+        """Return the change (n,) of the residuals under a change du of u."""
+
+    def transposed(self, e: Array) -> Array:
+        """Return the adjoint of `times`, with respect to the inner product, at e (n,)."""
+
+
+def gauss_newton(
+    residual: Callable[[Array], Array],
+    linearisation: Linearisation,
+    anchor: Array,
+    weight: float,
+    project: Projection,
+    start: Array,
+    inner: InnerProduct,
+    tolerance: float,
+    max_iterations: int,
+) -> Solution:
+    """Minimise |residual(u)|^2 / 2 + weight / 2 |u - anchor|^2 over a convex set.
+
+    Each iteration replaces the residual by r(u_k) + S (u - u_k), with S the same
+    linearisation throughout, and minimises that over the set by `spg`, which costs no
+    residual. Converged when a step is at most `tolerance` long; ends when the value does not
+    decrease any more. `Solution.calls` counts residuals.
+    """
+    u = project(start)
+    r = residual(u)
+    value = _value(r, u, anchor, weight, inner)
+    status = Status.ITERATION_LIMIT
+    iterations = 0
+    gradient = linearisation.transposed(r) + weight * (u - anchor)
+    while iterations < max_iterations:
+        iterations += 1
+
+        def model(w: Array, u: Array = u, r: Array = r) -> tuple[float, Array]:
+            e = r + linearisation.times(w - u)
+            gradient = linearisation.transposed(e) + weight * (w - anchor)
+            return _value(e, w, anchor, weight, inner), gradient
+
+        trial = spg(model, project, u, inner, _INNER_TOLERANCE, _INNER_ITERATIONS).u
+        trial_residual = residual(trial)
+        trial_value = _value(trial_residual, trial, anchor, weight, inner)
+        if trial_value >= value:
+            status = Status.STAGNATED
+            break
+        step = trial - u
+        u, r, value = trial, trial_residual, trial_value
+        gradient = linearisation.transposed(r) + weight * (u - anchor)
+        if math.sqrt(inner(step, step)) <= tolerance:
+            status = Status.CONVERGED
+            break
+    descent = project(u - gradient) - u
+    norm = math.sqrt(inner(descent, descent))
+    return Solution(u, value, norm, status, iterations, iterations + 1)
+
+
+def _value(r: Array, u: Array, anchor: Array, weight: float, inner: InnerProduct) -> float:
+    return 0.5 * float(np.vdot(r, r)) + 0.5 * weight * inner(u - anchor, u - anchor)

@@ -1,0 +1,343 @@
+"""Bags read back into the arrays they were made of, whatever is missing or odd in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import random
+import shutil
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from herding_ros.bag.point_cloud import points
+from herding_ros.bag.reader import read_run
+
+PERIOD_NS = 100_000_000
+PARAMETERS = {'/controller': {'goal': [0.5, -0.25]}, '/sim': {'seed': 3}}
+T, N, M = 30, 4, 2
+
+
+@pytest.fixture
+def arrays() -> dict[str, Any]:
+    """States with values that single floats hold exactly."""
+    generator = np.random.default_rng(0)
+
+    def exact(*shape: int) -> Any:
+        return generator.integers(-512, 512, shape) / 256.0
+
+    return {'x': exact(T, N, 2), 'v': exact(T, N, 2), 'd': exact(T, M, 2), 'u': exact(T, M, 2)}
+
+
+def write(recorder: Any, arrays: dict[str, Any], prefix: str = '/truth', first_ns: int = 0) -> None:
+    """What the nodes publish, ten states a second, twice as fast as in reality."""
+    for k in range(T):
+        ns = first_ns + k * PERIOD_NS
+        recorder.sheep(f'{prefix}/sheep', ns, arrays['x'][k], arrays['v'][k])
+        for m in range(M):
+            recorder.odometry(f'{prefix}/dog_{m + 1}/odom', ns, arrays['d'][k, m])
+            recorder.command(f'/dog_{m + 1}/cmd_vel', ns, arrays['u'][k, m])
+        recorder.log_ns += PERIOD_NS
+        recorder.publish_ns += PERIOD_NS // 2
+
+
+def test_arrays_come_back(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays)
+        recorder.diagnostics('recorder: bag', 10**18, replan=9)
+        recorder.diagnostics(
+            'controller: plan', 0, replan=0, solve_ms=12.5, status='converged', objective=0.25,
+            gradient_norm='1e-3', optimiser_iterations=20, optimiser_calls=31,
+            mapping_iterations=2, mapping_error_before=0.5, mapping_error_after=0.125,
+            deadline_margin_s=1.5, other='thing',
+        )  # fmt: skip
+        recorder.diagnostics('controller: plan', PERIOD_NS, replan=1, solve_ms=20)
+        recorder.diagnostics('controller: plan', 2 * PERIOD_NS, replan=1, solve_ms=99)
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_allclose(run.times, 0.1 * np.arange(T), rtol=0, atol=1e-12)
+    for mine, read in ((arrays['x'], run.x), (arrays['v'], run.v), (arrays['d'], run.d)):
+        assert read.dtype == np.float64
+        np.testing.assert_array_equal(read, mine)
+    np.testing.assert_allclose(run.command_times, run.times)
+    np.testing.assert_array_equal(run.commands, arrays['u'])
+    np.testing.assert_array_equal(run.goal, [0.5, -0.25])
+    assert run.parameters == PARAMETERS
+    assert run.version == '9.8.7'
+    assert run.wall_s == pytest.approx(0.05 * (T - 1))
+    first, second = run.replans
+    assert (first.time, first.number, first.status, first.solve_ms) == (0.0, 0, 'converged', 12.5)
+    assert (first.gradient_norm, first.optimiser_calls) == (1e-3, 31)
+    assert (first.mapping_error_before, first.mapping_error_after) == (0.5, 0.125)
+    assert (second.time, second.solve_ms) == (pytest.approx(0.1), 20)
+    assert np.isnan(second.objective)
+
+
+def test_topics_are_counted(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays)
+    topics = {topic.name: topic for topic in read_run(tmp_path / 'bag').topics}
+    assert len(topics) == 1 + 2 * M
+    assert topics['/truth/sheep'].type == 'sensor_msgs/msg/PointCloud2'
+    assert topics['/truth/sheep'].count == T
+    assert topics['/truth/sheep'].rate == pytest.approx(10.0, rel=0.05)
+
+
+def test_without_truth_the_observed_states_are_read(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays, prefix='')
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_array_equal(run.x, arrays['x'])
+    np.testing.assert_array_equal(run.d, arrays['d'])
+
+
+def test_truth_goes_before_observation(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, {**arrays, 'x': arrays['x'] + 1.0}, prefix='')
+        write(recorder, arrays)
+    np.testing.assert_array_equal(read_run(tmp_path / 'bag').x, arrays['x'])
+
+
+def test_last_goal_pose_goes_before_the_parameter(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays)
+        recorder.goal(0, (1.0, 1.0))
+        recorder.goal(1, (2.0, -3.0))
+    np.testing.assert_array_equal(read_run(tmp_path / 'bag').goal, [2.0, -3.0])
+
+
+def test_dogs_are_read_at_the_times_of_the_sheep(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        for k in range(3):
+            recorder.sheep('/sheep', 1000 + k * 100, [[0, 0]], [[0, 0]])
+        for k in range(5):
+            recorder.odometry('/dog_1/odom', 950 + k * 100, (k, -k))
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_allclose(run.d[:, 0], [[0.5, -0.5], [1.5, -1.5], [2.5, -2.5]])
+
+
+def test_commands_hold_until_the_next(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        recorder.sheep('/sheep', 0, [[0, 0]], [[0, 0]])
+        for m in (1, 2):
+            recorder.odometry(f'/dog_{m}/odom', 0, (0, 0))
+        recorder.command('/dog_1/cmd_vel', 10**9, (1, 0))
+        recorder.command('/dog_2/cmd_vel', 2 * 10**9, (0, 2))
+        recorder.command('/dog_1/cmd_vel', 3 * 10**9, (3, 0))
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_allclose(run.command_times, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(run.commands[:, 0, 0], [1, 1, 3])
+    np.testing.assert_array_equal(run.commands[:, 1, 1], [0, 2, 2])
+
+
+def test_commands_without_stamp_are_dated_by_the_bag(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        recorder.sheep('/sheep', 0, [[0, 0]], [[0, 0]])
+        recorder.odometry('/dog_1/odom', 0, (0, 0))
+        recorder.log_ns = 2 * 10**9
+        recorder.write('/dog_1/cmd_vel', recorder.twist((1, 2)))
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_allclose(run.command_times, [2.0])
+    np.testing.assert_array_equal(run.commands, [[[1, 2]]])
+
+
+def test_twelve_dogs_are_in_the_order_of_their_numbers(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        recorder.sheep('/sheep', 0, [[0, 0]], [[0, 0]])
+        for m in range(12, 0, -1):
+            recorder.odometry(f'/dog_{m}/odom', 0, (m, 0))
+    np.testing.assert_array_equal(read_run(tmp_path / 'bag').d[0, :, 0], range(1, 13))
+
+
+def test_after_a_reset_the_last_run_is_read(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, {**arrays, 'x': arrays['x'] + 1.0}, first_ns=5 * PERIOD_NS)
+        write(recorder, arrays)
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_array_equal(run.x, arrays['x'])
+    np.testing.assert_array_equal(run.d, arrays['d'])
+    assert len(run.command_times) == T
+
+
+@pytest.mark.parametrize('order', ['<', '>'])
+def test_clouds_are_read_by_their_field_table(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any], order: str
+) -> None:
+    layout = np.dtype(
+        {
+            'names': ['vy', 'y', 'id', 'x', 'vx'],
+            'formats': [f'{order}f8', f'{order}f4', f'{order}u4', f'{order}f8', f'{order}f4'],
+            'offsets': [4, 16, 24, 32, 44],
+            'itemsize': 53,
+        }
+    )
+    ids = [7, 3, 5, 1]  # sheep are told by their ids
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        recorder.sheep('/sheep', 0, arrays['x'][0], arrays['v'][0], ids, layout)
+        recorder.odometry('/dog_1/odom', 0, (0, 0))
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_array_equal(run.x[0], arrays['x'][0][np.argsort(ids)])
+    np.testing.assert_array_equal(run.v[0], arrays['v'][0][np.argsort(ids)])
+
+
+def test_rows_of_a_cloud_may_be_padded(run_recorder: Any, tmp_path: Path) -> None:
+    with run_recorder(tmp_path / 'bag') as recorder:
+        field = recorder.make('sensor_msgs/PointField', name='x', offset=0, datatype=7, count=1)
+        cloud = recorder.make(
+            'sensor_msgs/PointCloud2', header=recorder.header(0), height=2, width=2,
+            fields=[field], is_bigendian=False, point_step=4, row_step=12, is_dense=True,
+            data=np.array([1, 2, 99, 3, 4, 99], '<f4').view(np.uint8),
+        )  # fmt: skip
+    np.testing.assert_array_equal(points(cloud)['x'], [1, 2, 3, 4])
+    cloud.data = cloud.data[:20]
+    with pytest.raises(ValueError, match='20 bytes, too few for 2 rows of 12 bytes'):
+        points(cloud)
+    field.datatype = 99
+    with pytest.raises(ValueError, match=r"\['x'\] .* no known type"):
+        points(cloud)
+
+
+def test_sqlite3_bags_are_read_too(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        recorder.goal(0, (1.0, 2.0))
+        for k in range(3):
+            recorder.log_ns = k * 10**9
+            recorder.sheep('/sheep', k * 10**9, [[k, 0]], [[0, 0]])
+            recorder.odometry('/dog_1/odom', k * 10**9, (0, k))
+    convert_to_sqlite3(tmp_path / 'bag', tmp_path / 'other')
+    run = read_run(tmp_path / 'other')
+    np.testing.assert_array_equal(run.x[:, 0, 0], [0, 1, 2])
+    np.testing.assert_array_equal(run.d[:, 0, 1], [0, 1, 2])
+    np.testing.assert_array_equal(run.goal, [1.0, 2.0])
+    assert run.wall_s == 2.0
+    assert run.version == ''
+
+
+def convert_to_sqlite3(source: Path, target: Path) -> None:
+    from rosbags.rosbag2 import Reader
+
+    with (
+        Reader(source) as reader,
+        Writer(target, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer,
+    ):
+        connections = {
+            c.id: writer.add_connection(
+                c.topic, c.msgtype, msgdef=c.msgdef.data, rihs01=c.digest
+            )
+            for c in reader.connections
+        }
+        for connection, time, data in reader.messages():
+            writer.write(connections[connection.id], time, data)
+
+
+# Bags that cannot be read.
+
+
+def test_no_bag_is_told(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match='nothing is no bag'):
+        read_run(tmp_path / 'nothing')
+
+
+def test_unclosed_bag_is_told(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
+    recorder = run_recorder(tmp_path / 'bag', PARAMETERS)
+    write(recorder, arrays)
+    with pytest.raises(FileNotFoundError, match='has not been closed'):
+        read_run(tmp_path / 'bag')
+    recorder.bag.close()
+
+
+def test_bag_without_states_is_told(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        recorder.goal(0, (1, 1))
+    with pytest.raises(ValueError, match=r'/truth/sheep or /sheep.*only /goal_pose'):
+        read_run(tmp_path / 'bag')
+
+
+def test_bag_with_topics_but_no_states_is_told(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        recorder.odometry('/dog_1/odom', 0, (0, 0))
+        recorder.bag.add_topic('/sheep', 'sensor_msgs/msg/PointCloud2', '', [], '')
+    with pytest.raises(ValueError, match='no messages of /sheep'):
+        read_run(tmp_path / 'bag')
+
+
+def test_missing_goal_is_told(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
+    with run_recorder(tmp_path / 'bag', {}) as recorder:
+        write(recorder, arrays)
+    with pytest.raises(ValueError, match='no destination.*/goal_pose'):
+        read_run(tmp_path / 'bag')
+
+
+def test_missing_fields_are_told(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        cloud = recorder.make(
+            'sensor_msgs/PointCloud2', header=recorder.header(0), height=1, width=0, fields=[],
+            is_bigendian=False, point_step=4, row_step=0, is_dense=True,
+            data=np.zeros(0, np.uint8),
+        )  # fmt: skip
+        recorder.write('/sheep', cloud)
+        recorder.odometry('/dog_1/odom', 0, (0, 0))
+    with pytest.raises(ValueError, match='lack the fields id, vx, vy, x, y'):
+        read_run(tmp_path / 'bag')
+
+
+def test_changing_flock_is_told(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        recorder.sheep('/sheep', 0, [[0, 0], [1, 1]], np.zeros((2, 2)))
+        recorder.sheep('/sheep', 1, [[0, 0]], np.zeros((1, 2)))
+        recorder.odometry('/dog_1/odom', 0, (0, 0))
+    with pytest.raises(ValueError, match='not the same at all times'):
+        read_run(tmp_path / 'bag')
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_damaged_bag_is_told(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any], seed: int
+) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays)
+    generator = random.Random(seed)
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    data = bytearray(file.read_bytes())
+    if seed % 2:
+        data = data[: generator.randrange(len(data))]
+    else:
+        place = generator.randrange(len(data) // 2)  # where the messages are
+        data[place : place + 8] = generator.randbytes(8)
+    file.write_bytes(data)
+    with pytest.raises(ValueError, match='bag'):
+        read_run(tmp_path / 'bag')
+
+
+@pytest.mark.parametrize(
+    'text', ['', '[]', 'a: 1', 'rosbag2_bagfile_information: 3', '{', '!!python/object/apply:x []']
+)
+def test_damaged_metadata_is_told(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any], text: str
+) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays)
+    (tmp_path / 'bag' / 'metadata.yaml').write_text(text)
+    with pytest.raises(ValueError, match=r'metadata\.yaml does not describe a bag'):
+        read_run(tmp_path / 'bag')
+
+
+def test_bag_is_read_from_its_own_folder_alone(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays)
+    shutil.copytree(tmp_path / 'bag', tmp_path / 'stranger')
+    metadata = tmp_path / 'stranger' / 'metadata.yaml'
+    metadata.write_text(metadata.read_text().replace('bag_0.mcap', '../bag/bag_0.mcap'))
+    (tmp_path / 'stranger' / 'bag_0.mcap').unlink()
+    with pytest.raises(ValueError, match='missing'):
+        read_run(tmp_path / 'stranger')

@@ -1,0 +1,131 @@
+from collections.abc import Callable
+import dataclasses
+
+import numpy as np
+import pytest
+
+from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.objective import Objective
+from herding_ros.model.parameters import CROWDS
+from herding_ros.model.state import Array, HerdState
+
+HerdMaker = Callable[..., HerdState]
+Problem = tuple[CoarseModel, Objective, Array]
+
+# Centre weight, spread weight: the observables centre and individuals, and others.
+OBSERVABLES = {'centre': (1.0, 0.0), 'individuals': (1.0, 1.0), 'spread': (0.0, 1.0)}
+SIZES = [(1, 1), (2, 5), (5, 2), (8, 1), (9, 3), (16, 4), (17, 5)]
+presets = pytest.mark.parametrize('preset', CROWDS)
+
+
+@pytest.fixture(scope='session')
+def problem(random_herd: HerdMaker) -> Callable[..., Problem]:
+    """Return a maker of problems on a horizon of 2 s, all the rest of them random."""
+
+    def make(preset: str, n: int, m: int, substeps: int, observable: str | None = None) -> Problem:
+        rng = np.random.default_rng(100 * n + m)
+        intervals, dt = 40 // substeps, 0.05
+        centre, spread = OBSERVABLES[observable] if observable else rng.uniform(0.1, 5.0, 2)
+        shape = (intervals, m, 2)
+        coarse = CoarseModel(CROWDS[preset], random_herd(n, m, n + m), dt, substeps)
+        objective = Objective(
+            centre,
+            spread,
+            10.0 ** rng.uniform(-6.0, -3.0),
+            rng.normal(0.0, 1.0, (intervals * substeps + 1, 2)),
+            rng.normal(0.0, 0.05, shape),
+        )
+        return coarse, objective, rng.normal(0.0, 0.05, shape)
+
+    return make
+
+
+def remainders(problem: Problem, steps: Array) -> tuple[Array, float]:
+    """|J(u + h w) - J(u) - h <grad J(u), w>| for each step h, w random; and |<grad J, w>|."""
+    coarse, objective, u = problem
+    direction = np.random.default_rng(5).normal(0.0, 1.0, u.shape)
+    value, gradient = coarse.value_and_gradient(objective, u)
+    slope = coarse.inner(gradient, direction)
+    there = [coarse.value_and_gradient(objective, u + h * direction)[0] for h in steps]
+    return np.abs(np.array(there) - value - steps * slope), abs(slope)
+
+
+def assert_second_order(problem: Problem) -> None:
+    steps = 2e-2 * 2.0 ** -np.arange(6.0)
+    found, slope = remainders(problem, steps)
+    orders = np.log2(found[:-1] / found[1:])
+    assert slope > 1e-7  # there is something to get wrong
+    assert np.median(orders) > 1.9
+    assert orders[-1] > 1.9
+
+
+@presets
+@pytest.mark.parametrize('observable', OBSERVABLES)
+@pytest.mark.parametrize('substeps', [1, 5])
+def test_taylor_remainder_is_of_second_order_for_each_observable(
+    problem: Callable[..., Problem], preset: str, observable: str, substeps: int
+) -> None:
+    assert_second_order(problem(preset, 9, 3, substeps, observable))
+
+
+@presets
+@pytest.mark.parametrize(('n', 'm'), SIZES)
+@pytest.mark.parametrize('substeps', [1, 5])
+def test_taylor_remainder_is_of_second_order_for_any_herd(
+    problem: Callable[..., Problem], preset: str, n: int, m: int, substeps: int
+) -> None:
+    assert_second_order(problem(preset, n, m, substeps))
+
+
+@presets
+@pytest.mark.parametrize('n', range(1, 18))
+def test_every_component_agrees_with_central_differences(
+    problem: Callable[..., Problem], preset: str, n: int
+) -> None:
+    m, h = 1 + n % 5, 1e-5
+    coarse, objective, u = problem(preset, n, m, substeps=5)
+    expected = np.empty_like(u)
+    for index in np.ndindex(u.shape):
+        change = np.zeros_like(u)
+        change[index] = h
+        there, back = (
+            coarse.value_and_gradient(objective, each)[0] for each in (u + change, u - change)
+        )
+        expected[index] = (there - back) / (2.0 * h) / coarse.interval
+    _, gradient = coarse.value_and_gradient(objective, u)
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-5 * scale)
+
+
+def test_gradient_does_not_depend_on_how_the_interval_is_cut(
+    problem: Callable[..., Problem],
+) -> None:
+    """Holding a control over five steps sums the five gradients: L2 averages them."""
+    coarse, objective, u = problem('cohesive', 9, 3, 5)
+    fine = dataclasses.replace(coarse, substeps=1)
+    reference = np.repeat(objective.control_reference, 5, axis=0)
+    value, gradient = coarse.value_and_gradient(objective, u)
+    fine_value, fine_gradient = fine.value_and_gradient(
+        dataclasses.replace(objective, control_reference=reference), np.repeat(u, 5, axis=0)
+    )
+    assert value == pytest.approx(fine_value, rel=1e-13)
+    averaged = fine_gradient.reshape(-1, 5, 3, 2).mean(axis=1)
+    np.testing.assert_allclose(gradient, averaged, rtol=0, atol=1e-14)
+
+
+def test_where_dogs_cannot_matter_only_the_control_counts(
+    problem: Callable[..., Problem],
+) -> None:
+    coarse, objective, u = problem('cohesive', 5, 2, 1)
+    far = HerdState(coarse.state.x, coarse.state.v, coarse.state.d + 1e3)
+    _, gradient = dataclasses.replace(coarse, state=far).value_and_gradient(objective, u)
+    expected = objective.control_weight * (u - objective.control_reference)
+    np.testing.assert_allclose(gradient, expected, rtol=1e-12)
+
+
+def test_inner_product_is_that_of_square_integrable_functions(random_herd: HerdMaker) -> None:
+    coarse = CoarseModel(CROWDS['cohesive'], random_herd(3, 1), 0.02, 5)
+    t = (np.arange(20) + 0.5) * coarse.interval  # midpoints of a window of 2 s
+    u = np.stack([np.sin(t), np.cos(t)], axis=-1)[:, None]
+    assert coarse.interval == pytest.approx(0.1)
+    assert coarse.inner(u, u) == pytest.approx(2.0, rel=1e-13)

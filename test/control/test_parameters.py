@@ -1,0 +1,71 @@
+from collections.abc import Callable
+import dataclasses
+import math
+import re
+
+import pytest
+
+from herding_ros.control.parameters import (
+    Control,
+    Horizon,
+    Mapping,
+    Optimiser,
+    PAPER,
+    Reference,
+    Weights,
+)
+from herding_ros.model.parameters import Parameters
+
+GROUPS = [Weights, Reference, Horizon, Optimiser, Mapping, Control]
+
+
+@pytest.mark.parametrize(
+    ('make', 'named'),
+    [
+        (lambda: Weights(control=0.0), 'Weights.control is 0.0'),
+        (lambda: Weights(centre=-1.0), 'Weights.centre is -1.0'),
+        (lambda: Weights(spread=math.nan), 'Weights.spread is nan'),
+        (lambda: Reference(kind='straight'), "Reference.kind is 'straight'"),
+        (lambda: Reference(speed=0.0), 'Reference.speed is 0.0'),
+        (lambda: Optimiser(method='newton'), "Optimiser.method is 'newton'"),
+        (lambda: Optimiser(max_iterations=0), 'Optimiser.max_iterations is 0'),
+        (lambda: Mapping(observable='spread'), "Mapping.observable is 'spread'"),
+        (lambda: Mapping(paths=0), 'Mapping.paths is 0'),
+        (lambda: Mapping(max_iterations=-1), 'Mapping.max_iterations is -1'),
+        (lambda: Control(max_speed=math.inf), 'Control.max_speed is inf'),
+        (lambda: Control(max_speed='5'), "Control.max_speed is '5'"),
+        (lambda: Control(weights=None), 'Control.weights is None'),
+        (lambda: Horizon(length=20.05), 'Horizon.length is 20.05'),
+        (lambda: Horizon(accepted=0.01), 'Horizon.accepted is 0.01'),
+        (lambda: Horizon(accepted=30.0), 'Horizon.accepted is 30.0'),
+        (lambda: Horizon(substeps=0), 'Horizon.substeps is 0'),
+        (lambda: Horizon(control_period=-0.1), 'Horizon.control_period is -0.1'),
+    ],
+)
+def test_refusal_names_field_value_and_what_is_allowed(
+    make: Callable[[], Parameters], named: str
+) -> None:
+    with pytest.raises(ValueError, match=f'^{re.escape(named)}, allowed is '):
+        make()
+
+
+@pytest.mark.parametrize('group', GROUPS)
+def test_every_field_is_explained(group: type[Parameters]) -> None:
+    for field in dataclasses.fields(group):
+        assert field.metadata.get('doc') or isinstance(field.default, Parameters)
+
+
+def test_time_grids_fit_into_each_other() -> None:
+    horizon = Horizon(length=20.0, accepted=10.0, control_period=0.1, substeps=10)
+    assert horizon.intervals == 200
+    assert horizon.dt == pytest.approx(0.01)
+
+
+def test_paper_is_the_papers_own_setting() -> None:
+    assert PAPER.weights == Weights(centre=1.0, spread=1.0, control=1e-2)
+    assert PAPER.max_speed == 5e-2
+    assert PAPER.reference.kind == 'interpolated'
+    assert (PAPER.horizon.length, PAPER.horizon.accepted) == (20.0, 10.0)
+    assert PAPER.optimiser.tolerance == 5e-3
+    assert (PAPER.mapping.tolerance, PAPER.mapping.min_decrease) == (0.3, 5e-3)
+    assert PAPER.mapping.paths == 100

@@ -1,0 +1,109 @@
+from collections.abc import Callable
+import dataclasses
+import math
+import re
+from typing import Any
+
+import pytest
+
+from herding_ros.model.parameters import Crowd, CROWDS, Morse, Parameters, quantity
+from herding_ros.model.simulation import World
+
+
+@dataclasses.dataclass(frozen=True)
+class Sample(Parameters):
+    number: float = quantity(1.0, 'a number', low=0.0, high=2.0)
+    at_most: float = quantity(1.0, 'a number', high=2.0)
+    count: int = quantity(1, 'an integer', low=1)
+    flag: bool = quantity(True, 'a switch')
+    text: str = quantity('a', 'a text')
+    choice: str = quantity('a', 'a choice', choices=('a', 'b'))
+    pair: tuple[float, float] = quantity((0.0, 0.0), 'two numbers', low=-1.0)
+
+
+REFUSED = [
+    ('number', '1', 'a number from 0 to 2'),
+    ('number', True, 'a number from 0 to 2'),
+    ('number', None, 'a number from 0 to 2'),
+    ('number', math.nan, 'a number from 0 to 2'),
+    ('number', 2.0000001, 'a number from 0 to 2'),
+    ('number', -1e-300, 'a number from 0 to 2'),
+    ('at_most', -math.inf, 'a number of at most 2'),
+    ('count', 0, 'an integer of at least 1'),
+    ('count', 1.0, 'an integer of at least 1'),
+    ('count', True, 'an integer of at least 1'),
+    ('flag', 1, 'true or false'),
+    ('text', 1, 'a text'),
+    ('choice', 'c', 'a or b'),
+    ('choice', True, 'a or b'),
+    ('pair', (1.0,), '2 numbers of at least -1'),
+    ('pair', (1.0, math.nan), '2 numbers of at least -1'),
+    ('pair', (1.0, -2.0), '2 numbers of at least -1'),
+    ('pair', 1.0, '2 numbers of at least -1'),
+    ('pair', '12', '2 numbers of at least -1'),
+    ('pair', ('1', '2'), '2 numbers of at least -1'),
+]
+
+
+@pytest.mark.parametrize(('name', 'value', 'allowed'), REFUSED)
+def test_refusal_names_field_value_and_what_is_allowed(
+    name: str, value: object, allowed: str
+) -> None:
+    message = re.escape(f'Sample.{name} is {value!r}, allowed is {allowed}')
+    with pytest.raises(ValueError, match=f'^{message}$'):
+        Sample(**{name: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'kept'),
+    [('number', 0, 0.0), ('number', 2.0, 2.0), ('pair', [1, 2], (1.0, 2.0)), ('choice', 'b', 'b')],
+)
+def test_bounds_are_inclusive_and_integers_pass_as_numbers(
+    name: str, value: Any, kept: Any
+) -> None:
+    found = getattr(Sample(**{name: value}), name)
+    assert found == kept
+    assert type(found) is type(kept)
+
+
+@pytest.mark.parametrize(
+    ('make', 'named'),
+    [
+        (lambda: Morse(repulsion_length=0.0), 'Morse.repulsion_length is 0.0'),
+        (lambda: Morse(attraction=-5e-4), 'Morse.attraction is -0.0005'),
+        (lambda: Crowd(friction=math.nan), 'Crowd.friction is nan'),
+        (lambda: Crowd(noise=-0.01), 'Crowd.noise is -0.01'),
+        (lambda: World(sheep=0), 'World.sheep is 0'),
+        (lambda: World(dogs=2.0), 'World.dogs is 2.0'),
+        (lambda: World(dt=0.0), 'World.dt is 0.0'),
+        (lambda: World(seed=-1), 'World.seed is -1'),
+    ],
+)
+def test_every_set_of_parameters_is_validated(make: Callable[[], object], named: str) -> None:
+    with pytest.raises(ValueError, match=f'^{re.escape(named)}, allowed is '):
+        make()
+
+
+def test_groups_within_parameters_are_validated() -> None:
+    with pytest.raises(ValueError, match=r'^Crowd\.sheep is 3, allowed is '):
+        Crowd(sheep=3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize('group', [Morse, Crowd, World])
+def test_every_field_is_explained(group: type[Parameters]) -> None:
+    for field in dataclasses.fields(group):
+        assert field.metadata.get('doc') or isinstance(field.default, Parameters)
+
+
+def test_presets_are_the_paper_with_and_without_the_lengths_swapped() -> None:
+    printed, cohesive = CROWDS['printed'], CROWDS['cohesive']
+    assert printed.sheep == Morse(1.0, 2.0, 5e-4, 1e-2)
+    assert printed.dog == Morse(1e-2, 0.5, 5e-4, 1e-2)
+    assert cohesive.sheep == Morse(1.0, 1e-2, 5e-4, 2.0)
+    assert cohesive.dog == Morse(1e-2, 0.5, 5e-4, 2.0)
+    assert cohesive == Crowd()
+    assert {crowd.friction for crowd in CROWDS.values()} == {0.5}
+
+
+def test_coefficients_are_those_of_the_derivative() -> None:
+    assert Morse(3.0, 0.5, 8.0, 4.0).coefficients == (6.0, 2.0, 2.0, 0.25)

@@ -1,0 +1,107 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from herding_ros.model.dynamics import rollout
+from herding_ros.model.parameters import Crowd
+from herding_ros.model.scenario import initial_herd
+from herding_ros.model.simulation import Simulation, World
+from herding_ros.model.state import Array
+
+GOAL = np.array([0.5, 0.5])
+WORLD = World(sheep=9, dogs=2, seed=3)
+
+
+def commands(periods: int) -> Array:
+    return np.random.default_rng(0).uniform(-0.03, 0.03, (periods, 2, 2))
+
+
+def played(simulation: Simulation, u: Array) -> Simulation:
+    for each in u:
+        simulation.advance(each)
+    return simulation
+
+
+def test_same_seed_same_world_bit_for_bit() -> None:
+    one, same = (played(Simulation(Crowd(), WORLD, GOAL), commands(20)) for _ in range(2))
+    np.testing.assert_array_equal(one.state.x, same.state.x)
+    np.testing.assert_array_equal(one.observe().state.x, same.observe().state.x)
+    other = played(Simulation(Crowd(), dataclasses.replace(WORLD, seed=4), GOAL), commands(20))
+    assert (one.state.x != other.state.x).all()
+
+
+def test_looking_at_the_herd_does_not_move_it() -> None:
+    seen, unseen = Simulation(Crowd(), WORLD, GOAL), Simulation(Crowd(), WORLD, GOAL)
+    for each in commands(10):
+        seen.observe()
+        seen.advance(each)
+    np.testing.assert_array_equal(seen.state.x, played(unseen, commands(10)).state.x)
+
+
+def test_without_noise_it_is_one_long_rollout() -> None:
+    quiet, u = Crowd(noise=0.0), commands(15)
+    found = played(Simulation(quiet, WORLD, GOAL), u)
+    start = initial_herd(9, 2, GOAL, np.random.default_rng(3))
+    expected = rollout(quiet, start, u, WORLD.dt, WORLD.substeps).at(-1)
+    np.testing.assert_allclose(found.state.x, expected.x, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found.state.d, expected.d, rtol=0, atol=1e-13)
+
+
+def test_noise_moves_sheep_apart_from_the_coarse_model_but_no_dog() -> None:
+    quiet, noisy = (
+        played(Simulation(Crowd(noise=sigma), WORLD, GOAL), commands(15)).state
+        for sigma in (0.0, 0.02)
+    )
+    np.testing.assert_array_equal(quiet.d, noisy.d)
+    assert (quiet.x != noisy.x).all()
+
+
+def test_nobody_runs_faster_than_the_limit() -> None:
+    simulation = Simulation(Crowd(), WORLD, GOAL)
+    start = simulation.state.d
+    simulation.advance(np.array([[3.0, 4.0], [0.03, 0.04 - 1e-9]]))
+    expected = np.array([[0.03, 0.04], [0.03, 0.04 - 1e-9]])
+    np.testing.assert_allclose(simulation.dog_velocities, expected, rtol=1e-14)
+    np.testing.assert_allclose(simulation.state.d - start, 0.1 * expected, rtol=1e-12)
+
+
+def test_clock_counts_whole_control_periods() -> None:
+    simulation = played(Simulation(Crowd(), WORLD, GOAL), commands(37))
+    assert simulation.nanoseconds == 3_700_000_000
+    assert WORLD.control_period == pytest.approx(0.1)
+
+
+def test_sensors_add_independent_noise_of_the_given_strength() -> None:
+    world = dataclasses.replace(WORLD, position_noise=0.01, velocity_noise=0.005)
+    simulation = Simulation(Crowd(), world, GOAL)
+    simulation.advance(np.full((2, 2), 0.02))
+    truth, looks = simulation.state, [simulation.observe() for _ in range(2000)]
+    for values, true, strength in (
+        ([look.state.x for look in looks], truth.x, 0.01),
+        ([look.state.v for look in looks], truth.v, 0.005),
+        ([look.state.d for look in looks], truth.d, 0.01),
+        ([look.dog_velocities for look in looks], np.full((2, 2), 0.02), 0.005),
+    ):
+        error = ((np.array(values) - true) / strength).reshape(len(looks), -1)
+        assert np.abs(error.mean(axis=0)).max() < 4.5 / np.sqrt(len(looks))
+        assert abs(error.var() - 1.0) < 4.0 * np.sqrt(2.0 / error.size)
+        apart = np.corrcoef(error.T) - np.eye(error.shape[1])
+        assert np.abs(apart).max() < 4.5 / np.sqrt(len(looks))
+
+
+def test_perfect_sensors_tell_the_truth_in_single_precision() -> None:
+    world = dataclasses.replace(WORLD, position_noise=0.0, velocity_noise=0.0)
+    simulation = Simulation(Crowd(), world, GOAL)
+    simulation.advance(np.full((2, 2), 0.02))
+    seen, truth = simulation.observe(), simulation.state
+    np.testing.assert_array_equal(seen.state.x, truth.x.astype(np.float32))
+    np.testing.assert_array_equal(seen.state.v, truth.v.astype(np.float32))
+    np.testing.assert_array_equal(seen.state.d, truth.d)
+    np.testing.assert_array_equal(seen.dog_velocities, simulation.dog_velocities)
+
+
+def test_flock_that_starts_at_the_goal_has_arrived() -> None:
+    here = initial_herd(9, 2, GOAL, np.random.default_rng(3)).x.mean(axis=0)
+    assert Simulation(Crowd(), WORLD, here).arrived
+    assert not Simulation(Crowd(), WORLD, here + np.array([0.06, 0.0])).arrived
