@@ -1,14 +1,22 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 import json
 from pathlib import Path
 from typing import Any
 
+from hypothesis import settings
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
 
 from herding_ros.bag.writer import BagWriter
+from herding_ros.model.state import HerdState
+
+settings.register_profile(
+    'repeatable', database=None, deadline=None, derandomize=True, max_examples=20
+)
+settings.load_profile('repeatable')
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 CLOUD = np.dtype([('id', '<u4'), *((name, '<f4') for name in ('x', 'y', 'z', 'vx', 'vy', 'vz'))])
@@ -138,3 +146,18 @@ class RunRecorder:
 @pytest.fixture(scope='session')
 def run_recorder() -> type[RunRecorder]:
     return RunRecorder
+
+
+@pytest.fixture(scope='session')
+def random_herd() -> Callable[..., HerdState]:
+    """Return a maker of random herds: sheep on the move, dogs around and between them."""
+
+    def make(n: int, m: int, seed: int = 0) -> HerdState:
+        rng = np.random.default_rng(seed)
+        return HerdState(
+            rng.uniform(-0.4, 0.4, (n, 2)),
+            rng.normal(0.0, 0.05, (n, 2)),
+            rng.uniform(-0.7, 0.7, (m, 2)),
+        )
+
+    return make

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+import os
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,9 +52,7 @@ class CoarseModel:
         value, source = objective.value_and_source(trajectory, u, self.interval)
         gradient = np.zeros_like(u)
         constants = physics(self.crowd, trajectory.n, self.dt)
-        kernels.adjoint(
-            trajectory.xs, trajectory.ds, source, self.substeps, constants, gradient
-        )
+        kernels.adjoint(trajectory.xs, trajectory.ds, source, self.substeps, constants, gradient)
         gradient /= self.interval
         gradient += objective.control_weight * (u - objective.control_reference)
         return value, gradient

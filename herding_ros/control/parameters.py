@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from herding_ros.model.parameters import TINY, Parameters, quantity
+from herding_ros.model.parameters import Parameters, quantity, TINY
 
 
 @dataclass(frozen=True)
 class Weights(Parameters):
     """What the cost weighs; 1, 1 and 1e-2 are the paper's."""
 
-    centre: float = quantity(
-        3.0, "weight of the centre's distance from its reference", low=0.0
-    )
+    centre: float = quantity(3.0, "weight of the centre's distance from its reference", low=0.0)
     spread: float = quantity(1.0, "weight of the sheep's distance from their centre", low=0.0)
     control: float = quantity(1e-2, 'weight gamma of the control', 's^2', low=TINY)
 
@@ -79,7 +77,10 @@ class Optimiser(Parameters):
         choices=('spg', 'ncg'),
     )
     tolerance: float = quantity(
-        5e-3, 'length of the last step (ncg) or of the projected gradient (spg)', 'm/s^0.5', low=0.0
+        5e-3,
+        'length of the last step (ncg) or of the projected gradient (spg)',
+        'm/s^0.5',
+        low=0.0,
     )
     max_iterations: int = quantity(60, 'most iterations of one solve', low=1)
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+import time
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
 from herding_ros.model.kernels import lanes
 from herding_ros.model.parameters import Crowd
-from herding_ros.model.state import Array, HerdState, finite
+from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping
 from .adjoint import CentreSensitivity, CoarseModel
@@ -171,7 +171,7 @@ class RecedingHorizon:
     def _solve_coarse(self, coarse: CoarseModel, t: float) -> Solution:
         """Minimise the cost of the window without noise, from the last plan on."""
         horizon, weights = self.control.horizon, self.control.weights
-        times = horizon.dt * np.arange(horizon.intervals * horizon.substeps + 1)
+        times = np.arange(horizon.intervals * horizon.substeps + 1.0) * horizon.dt
         u = np.zeros((horizon.intervals, len(coarse.state.d), 2))
         objective = Objective(
             weights.centre,
@@ -202,7 +202,8 @@ class RecedingHorizon:
         self, coarse: CoarseModel, u_coarse: Array, wanted: Array, clock: _Stopwatch
     ) -> tuple[MappingResult, int]:
         """Correct the coarse optimum for the noise; also return the coarse solves' rollouts."""
-        horizon, mapping, gamma = self.control.horizon, self.control.mapping, self.control.weights.control
+        horizon, mapping = self.control.horizon, self.control.mapping
+        gamma = self.control.weights.control
         noise = self._common_noise(len(coarse.state.x), len(wanted) - 1)
         sensitivity: list[CentreSensitivity] = []
         calls = 0

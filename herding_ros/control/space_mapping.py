@@ -6,16 +6,15 @@ the models put out, and needs fewer looks where the controls are at their limits
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
+import math
 
 import numpy as np
 
 from herding_ros.model.state import Array
 
 from .solution import InnerProduct, Projection, Status
-
 
 _DAMPING_FACTOR = 10.0
 
@@ -38,7 +37,7 @@ class MappingResult:
     @property
     def iterations(self) -> int:
         """Number of corrections that were tried."""
-        return len(self.misfits) - 1
+        return max(len(self.misfits) - 1, 0)
 
 
 class Broyden:

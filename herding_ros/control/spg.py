@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
+import math
 
 from herding_ros.model.state import Array
 

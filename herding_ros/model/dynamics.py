@@ -18,7 +18,7 @@ import numpy as np
 
 from . import kernels
 from .parameters import Crowd
-from .state import Array, HerdState, Trajectory, finite
+from .state import Array, finite, HerdState, Trajectory
 
 
 def physics(crowd: Crowd, n: int, dt: float) -> kernels.Physics:

@@ -9,7 +9,7 @@ import numpy as np
 from .admissible import project
 from .dynamics import increments, rollout
 from .flock import arrived, spread
-from .parameters import TINY, Crowd, Parameters, quantity
+from .parameters import Crowd, Parameters, quantity, TINY
 from .scenario import initial_herd
 from .state import Array, HerdState
 

@@ -7,15 +7,15 @@ window is planned in the background, from the state predicted for its beginning.
 
 from __future__ import annotations
 
-import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+import sys
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry, Path
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -26,13 +26,13 @@ from herding_ros.control.parameters import Control
 from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import TINY, Parameters, quantity
+from herding_ros.model.parameters import Parameters, quantity, TINY
 from herding_ros.model.state import Array, HerdState
 from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .parameters import declare, declare_crowd
-from .running import ADJUSTABLE, EVERY_MESSAGE, Refusals, is_heard, run
+from .running import ADJUSTABLE, EVERY_MESSAGE, is_heard, Refusals, run
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -229,9 +229,9 @@ class Controller(Node):
         times = observed.ns * 1e-9 + horizon.control_period * np.arange(periods)
         standing = np.zeros((len(self._dogs), 2))
         u = [standing if self._playing is None else self._playing.at(t) for t in times]
-        return rollout(
-            self._crowd, observed.state, np.array(u), horizon.dt, horizon.substeps
-        ).at(-1)
+        return rollout(self._crowd, observed.state, np.array(u), horizon.dt, horizon.substeps).at(
+            -1
+        )
 
     def _take_over_plan(self, t: float, now: int) -> None:
         """Play the coming plan from the start of its window on; count it when it is late."""
@@ -276,8 +276,10 @@ class Controller(Node):
             **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
         }
         self._plans += 1
-        level = DiagnosticStatus.WARN if margin < 0.0 or self._refused.counts else (
-            DiagnosticStatus.OK
+        level = (
+            DiagnosticStatus.WARN
+            if margin < 0.0 or self._refused.counts
+            else (DiagnosticStatus.OK)
         )
         self._diagnostics.publish(
             messages.diagnostics('controller: plan', ns, level, report.status.value, values)

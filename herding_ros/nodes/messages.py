@@ -9,7 +9,6 @@ from __future__ import annotations
 import array
 from collections.abc import Iterable, Mapping
 
-import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import (
@@ -23,6 +22,7 @@ from geometry_msgs.msg import (
     Vector3,
 )
 from nav_msgs.msg import Odometry, Path
+import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
@@ -35,13 +35,11 @@ from herding_ros.model.state import Array, finite
 _COORDINATES = ('x', 'y', 'z', 'vx', 'vy', 'vz')
 _CLOUD = np.dtype([('id', '<u4'), *((name, '<f4') for name in _COORDINATES)])
 _FIELDS = [
-    PointField(
-        name=name,
-        offset=offset,
-        datatype=PointField.UINT32 if name == 'id' else PointField.FLOAT32,
-        count=1,
-    )
-    for name, (_, offset) in _CLOUD.fields.items()
+    PointField(name='id', offset=0, datatype=PointField.UINT32, count=1),
+    *(
+        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
+        for i, name in enumerate(_COORDINATES, start=1)
+    ),
 ]
 
 

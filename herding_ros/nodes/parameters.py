@@ -9,7 +9,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
-from herding_ros.model.parameters import CROWDS, Crowd, Parameters, describe_limits, quantity
+from herding_ros.model.parameters import Crowd, CROWDS, describe_limits, Parameters, quantity
 
 _P = TypeVar('_P', bound=Parameters)
 _UNBOUNDED = 1e9
@@ -61,14 +61,13 @@ def _declare_field(node: Node, name: str, default: Any, field: dataclasses.Field
         read_only=True,
     )
     low, high = field.metadata['low'], field.metadata['high']
-    if isinstance(default, int) and not isinstance(default, bool) and low is not None:
-        top = int(high if high is not None else _UNBOUNDED)
-        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=top, step=0)]
-    if isinstance(default, float) and low is not None:
-        top = float(high if high is not None else _UNBOUNDED)
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(low), to_value=top, step=0.0)
-        ]
+    top = _UNBOUNDED if high is None else high
+    if low is not None and type(default) is int:
+        integers = IntegerRange(from_value=int(low), to_value=int(top), step=0)
+        descriptor.integer_range = [integers]
+    if low is not None and type(default) is float:
+        floats = FloatingPointRange(from_value=float(low), to_value=float(top), step=0.0)
+        descriptor.floating_point_range = [floats]
     initial = list(default) if isinstance(default, tuple) else default
     try:
         value = node.declare_parameter(name, initial, descriptor).value

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from functools import partial
+import sys
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -18,14 +18,14 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from herding_ros.model.flock import distance, spread
-from herding_ros.model.parameters import TINY, Parameters, quantity
+from herding_ros.model.parameters import Parameters, quantity, TINY
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .parameters import declare, declare_crowd
-from .running import ADJUSTABLE, EVERY_MESSAGE, Refusals, is_heard, run
+from .running import ADJUSTABLE, EVERY_MESSAGE, is_heard, Refusals, run
 
 _PERIODS_PER_MARKER = 5
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+import re
 
 import pytest
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
@@ -96,12 +97,13 @@ def test_definitions_of_all_installed_types_have_the_hashes_of_ros() -> None:
     types = installed_types()
     assert len(types) > 100
     for name, file in types:
-        if name == 'service_msgs/msg/ServiceEventInfo':
-            continue  # rosbags hashes the type char, used here alone, in another way
         hashes = {
             entry['type_name']: entry['hash_string']
             for entry in json.loads(file.read_text())['type_hashes']
         }
+        definition = message_definition(name)
+        if re.search(r'^char\b', definition, re.MULTILINE):
+            continue  # rosbags hashes this one primitive type in another way
         store = get_typestore(Stores.EMPTY)
-        store.register(get_types_from_msg(message_definition(name), name))
+        store.register(get_types_from_msg(definition, name))
         assert store.hash_rihs01(name) == hashes[name], name

@@ -1,0 +1,211 @@
+"""The picture, the summary and the program that makes them of a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+import json
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any
+
+from matplotlib.image import imread
+import numpy as np
+import pytest
+from rich.console import Console
+
+from herding_ros.bag.run import Replan, Run, Topic
+from herding_ros.report.cli import main, write_report
+from herding_ros.report.figures import save_trajectories
+from herding_ros.report.summary import summarise
+
+NAN = float('nan')
+
+
+def replan(number: int, solve_ms: float) -> Replan:
+    return Replan(
+        10.0 * number, number, 'converged', solve_ms, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN
+    )
+
+
+def square(centre: tuple[float, float], spread: float) -> Any:
+    """Four sheep whose centre and spread are known."""
+    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / np.sqrt(2)
+    return np.array(centre) + spread * corners
+
+
+@pytest.fixture
+def run() -> Run:
+    """Four sheep on their way to (1, 0): 0.5 m short, scattered at the goal, home, past it."""
+    x = np.stack(
+        [square((0, 0), 0.4), square((0.5, 0), 0.4), square((1, 0), 0.7), square((0.96, 0), 0.6),
+         square((1.2, 0), 0.4)]
+    )  # fmt: skip
+    times = 0.5 * np.arange(5)
+    d = np.stack([x[:, 0] - 1, x[:, 1] - 1], axis=1)
+    return Run(
+        times=times,
+        x=x,
+        v=np.zeros_like(x),
+        d=d,
+        command_times=times,
+        commands=np.zeros_like(d),
+        goal=np.array([1.0, 0.0]),
+        replans=(replan(0, 30.0), replan(1, 10.0), replan(2, 11.0)),
+        parameters={'/sim': {'seed': 7}},
+        version='1.2.3',
+        wall_s=0.25,
+        topics=(Topic('/a', 'a_msgs/msg/A', 3, 1.0), Topic('/b', 'a_msgs/msg/B', 4, 2.0)),
+    )
+
+
+def test_summary_of_an_arrival(run: Run) -> None:
+    summary = summarise(run)
+    assert summary['arrived'] is True
+    assert summary['time_s'] == 1.5  # at 1.0 the centre is there, but the flock is scattered
+    assert summary['final_distance_m'] == pytest.approx(0.2)
+    assert summary['max_spread_m'] == pytest.approx(0.7)
+    assert summary['initial_spread_m'] == pytest.approx(0.4)
+    assert summary['replans'] == 3
+    assert summary['solve_ms_median'] == 11.0
+    assert summary['solve_ms_max'] == 30.0
+    assert summary['messages_recorded'] == 7
+    assert summary['wall_s'] == 0.25
+    assert summary['real_time_factor'] == 8.0
+    assert summary['seed'] == 7
+    assert (summary['sheep'], summary['dogs']) == (4, 2)
+    assert summary['goal'] == [1.0, 0.0]
+    assert summary['version'] == '1.2.3'
+
+
+def test_summary_without_arrival(run: Run) -> None:
+    summary = summarise(replace(run, goal=np.array([5.0, 5.0])))
+    assert summary['arrived'] is False
+    assert summary['time_s'] == 2.0
+
+
+def test_summary_of_what_is_unknown_is_valid_json(run: Run) -> None:
+    bare = replace(run, replans=(replan(0, NAN),), parameters={}, wall_s=0.0)
+    summary = json.loads(json.dumps(summarise(bare), allow_nan=False))
+    for key in ('solve_ms_median', 'solve_ms_max', 'seed', 'real_time_factor'):
+        assert summary[key] is None
+
+
+def is_coloured(picture: Any, kind: Callable[[Any, Any, Any], Any]) -> int:
+    red, green, blue = (picture[..., k] for k in range(3))
+    return int(np.count_nonzero(kind(red, green, blue)))
+
+
+def test_picture_shows_sheep_dogs_and_goal(run: Run, tmp_path: Path) -> None:
+    save_trajectories(run, tmp_path / 'trajectories.png')
+    picture = imread(tmp_path / 'trajectories.png')
+    height, width = picture.shape[:2]
+    assert height > 800
+    assert width > 1500
+    for kind in (
+        lambda r, g, b: (b > 0.5) & (r < 0.3),
+        lambda r, g, b: (r > 0.6) & (b < 0.3),
+        lambda r, g, b: (r < 0.1) & (g < 0.1) & (b < 0.1),
+    ):
+        assert is_coloured(picture[:, : width // 2], kind) > 100
+
+
+@pytest.mark.parametrize(
+    'change',
+    [
+        {'replans': ()},
+        {'replans': (replan(0, NAN),)},
+        {'command_times': np.zeros(0), 'commands': np.zeros((0, 2, 2))},
+    ],
+)
+def test_picture_of_a_poor_run(run: Run, tmp_path: Path, change: dict[str, Any]) -> None:
+    save_trajectories(replace(run, **change), tmp_path / 'trajectories.png')
+    assert (tmp_path / 'trajectories.png').stat().st_size > 10_000
+
+
+def test_picture_of_a_single_state(run: Run, tmp_path: Path) -> None:
+    one = replace(run, times=run.times[:1], x=run.x[:1, :1], v=run.v[:1, :1], d=run.d[:1, :1])
+    save_trajectories(one, tmp_path / 'trajectories.png')
+    summarise(one)
+
+
+def bag_of(run: Run, path: Path, run_recorder: Any) -> Path:
+    parameters = {'/controller': {'goal': run.goal.tolist()}, **run.parameters}
+    with run_recorder(path, parameters) as recorder:
+        for k, time in enumerate(run.times):
+            ns = recorder.log_ns = int(1e9 * time)
+            recorder.sheep('/truth/sheep', ns, run.x[k], run.v[k])
+            for m in range(run.d.shape[1]):
+                recorder.odometry(f'/truth/dog_{m + 1}/odom', ns, run.d[k, m])
+            recorder.publish_ns += 62_500_000
+        for each in run.replans:
+            recorder.diagnostics(
+                'controller: plan', 0, replan=each.number, solve_ms=each.solve_ms
+            )
+    return path
+
+
+def test_report_of_a_bag(run: Run, tmp_path: Path, run_recorder: Any) -> None:
+    bag = bag_of(run, tmp_path / 'bag', run_recorder)
+    console = Console(record=True, width=120, file=open('/dev/null', 'w'))
+    summary = write_report(bag, tmp_path / 'new' / 'out', console)
+    assert json.loads((tmp_path / 'new' / 'out' / 'summary.json').read_text()) == summary
+    assert summary == {
+        **summarise(run),
+        'messages_recorded': 18,
+        'version': '9.8.7',
+        'final_distance_m': pytest.approx(0.2),
+        'max_spread_m': pytest.approx(0.7),
+        'initial_spread_m': pytest.approx(0.4),
+    }
+    imread(tmp_path / 'new' / 'out' / 'trajectories.png')
+    text = console.export_text()
+    assert '/truth/dog_2/odom' in text
+    assert 'sensor_msgs/msg/PointCloud2' in text
+    assert 'arrived after 1.5 s' in text
+    assert '3 replans' in text
+
+
+def test_program_writes_beside_the_bag(
+    run: Run, tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = bag_of(run, tmp_path / 'bag', run_recorder)
+    assert main([str(bag)]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        'bag', 'summary.json', 'trajectories.png'
+    ]  # fmt: skip
+    assert 'summary.json' in capsys.readouterr().out
+
+
+def test_program_needs_no_ros(run: Run, tmp_path: Path, run_recorder: Any) -> None:
+    bag = bag_of(run, tmp_path / 'bag', run_recorder)
+    code = (
+        'import sys\n'
+        'sys.modules["rclpy"] = None\n'  # makes its import fail
+        'from herding_ros.report.cli import main\n'
+        f'sys.exit(main([{str(bag)!r}, "--out", {str(tmp_path / "out")!r}]))'
+    )
+    subprocess.run([sys.executable, '-c', code], check=True, timeout=120)
+    assert (tmp_path / 'out' / 'trajectories.png').is_file()
+
+
+def test_program_says_what_it_cannot_read(
+    tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(tmp_path / 'nothing')]) == 2
+    assert 'nothing is no bag' in capsys.readouterr().err
+    with run_recorder(tmp_path / 'bag') as recorder:
+        recorder.goal(0, (0, 0))
+    assert main([str(tmp_path / 'bag')]) == 2
+    assert 'no states' in capsys.readouterr().err
+    assert not list(tmp_path.glob('*.png'))
+
+
+def test_program_says_where_it_cannot_write(
+    run: Run, tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = bag_of(run, tmp_path / 'bag', run_recorder)
+    (tmp_path / 'file').write_text('')
+    assert main([str(bag), '--out', str(tmp_path / 'file')]) == 2
+    assert 'file' in capsys.readouterr().err
