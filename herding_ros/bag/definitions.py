@@ -32,7 +32,7 @@ def message_text(type_name: str) -> str:
         share = Path(get_package_share_directory(package))
     except (PackageNotFoundError, OSError) as error:
         raise ValueError(
-            f'no definition of {type_name!r}: package {package!r} is not found on AMENT_PREFIX_PATH; '
+            f'no definition of {type_name!r}: no package {package!r} on AMENT_PREFIX_PATH; '
             'source the workspace that provides it'
         ) from error
     try:

@@ -32,7 +32,7 @@ from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .parameters import declare, declare_crowd
-from .running import ADJUSTABLE, EVERY_MESSAGE, is_heard, Refusals, run
+from .running import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, Refusals, run
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -95,13 +95,14 @@ class Controller(Node):
         self._worker = ThreadPoolExecutor(1, 'planner')
         self._missed = 0
 
-        publish = partial(self.create_publisher, qos_profile=EVERY_MESSAGE)
+        create = partial(self.create_publisher, publisher_class=CountingPublisher)
+        publish = partial(create, qos_profile=EVERY_MESSAGE)
         kind = TwistStamped if self._settings.stamped else Twist
         self._commands = [
             publish(kind, f'dog_{m}/cmd_vel', qos_overriding_options=ADJUSTABLE)
             for m in self._dogs
         ]
-        self._plan = self.create_publisher(MultiDOFJointTrajectory, 'plan', _LATCHED)
+        self._plan = create(MultiDOFJointTrajectory, 'plan', _LATCHED)
         self._herd_path = publish(Path, 'herd/path')
         self._dog_paths = [publish(Path, f'dog_{m}/path') for m in self._dogs]
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
@@ -113,6 +114,7 @@ class Controller(Node):
     def _listen_when_heard(self) -> None:
         """Listen to observations only once nobody misses what they are answered with."""
         everything = [*self._commands, self._plan, self._herd_path, *self._dog_paths]
+        everything.append(self._diagnostics)
         if self._settings.wait_for and not is_heard(self, everything, self._settings.wait_for):
             return
         self.destroy_timer(self._waiting)

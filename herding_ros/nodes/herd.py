@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
 import math
+import os
 from pathlib import Path
 import signal
 import subprocess
@@ -167,7 +169,7 @@ class Watcher(Node):
     def line(self, wall: float) -> str:
         """Say how the herding goes, in one line."""
         if not self.sim:
-            return f'starting the nodes ... {wall:4.1f} s'
+            return 'starting the nodes ...'
         t, distance, spread = (float(self.sim[k]) for k in ('time_s', 'distance_m', 'spread_m'))
         solve = f'{float(self.plan["solve_ms"]):.0f} ms' if self.plan else '-'
         return (
@@ -200,27 +202,31 @@ def _watch(children: list[Child], watcher: Watcher, console: Console) -> int:
     """Show how it goes until it is over; return the exit code."""
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)
-    begun = None
-    started = shown = time.monotonic()
-    with Live(console=console, refresh_per_second=5, transient=False) as live:
-        while not watcher.finished:
+    begun = shown = time.monotonic()
+    # One live line for people; a line every few seconds for files and pipes.
+    with (
+        Live(console=console, auto_refresh=False) if console.is_terminal else nullcontext() as live
+    ):
+        while True:
             executor.spin_once(timeout_sec=0.1)
             now = time.monotonic()
-            if watcher.sim and begun is None:
+            if not watcher.sim:
                 begun = now
-            line = watcher.line(now - (begun or started))
-            if console.is_terminal:
-                live.update(Text(line))
-            elif now - shown > 5.0:
-                console.print(line, soft_wrap=True)
+            dead = [child for child in children if child.process.poll() is not None]
+            over = watcher.finished or dead
+            if over or now - shown > (0.2 if live else 5.0):
                 shown = now
-            for child in children:
-                code = child.process.poll()
-                if code is not None:
-                    console.print(f'[red]{child.name} died (exit code {code}):[/red]')
-                    console.print(child.last_words(), markup=False, soft_wrap=True)
-                    return _CHILD_DIED
-        live.update(Text(watcher.line(time.monotonic() - (begun or started))))
+                line = Text(watcher.line(now - begun), no_wrap=True)
+                if live:
+                    live.update(line, refresh=True)
+                else:
+                    console.print(line, soft_wrap=True)
+            if over:
+                break
+    for child in dead:
+        console.print(f'{child.name} died (exit code {child.process.returncode}):', style='red')
+        console.print(child.last_words(), markup=False, soft_wrap=True)
+        return _CHILD_DIED
     return _ARRIVED if watcher.arrived else _TIMED_OUT
 
 
@@ -239,6 +245,12 @@ def main(args: list[str] | None = None) -> int:
         console.print(f'cannot write into {options.out}: {error}', style='red')
         return _BAD_ARGUMENTS
 
+    console.print(
+        f'herding {options.sheep} sheep with {options.dogs} dogs to '
+        f'({options.goal[0]:g}, {options.goal[1]:g}) on ROS_DOMAIN_ID '
+        f'{os.environ.get("ROS_DOMAIN_ID", "0")}; output in {options.out}',
+        soft_wrap=True,
+    )
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     watcher = Watcher()

@@ -25,7 +25,7 @@ from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .parameters import declare, declare_crowd
-from .running import ADJUSTABLE, EVERY_MESSAGE, is_heard, Refusals, run
+from .running import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, Refusals, run
 
 _PERIODS_PER_MARKER = 5
 
@@ -72,7 +72,10 @@ class Sim(Node):
         self._finished = False
 
         publish = partial(
-            self.create_publisher, qos_profile=EVERY_MESSAGE, qos_overriding_options=ADJUSTABLE
+            self.create_publisher,
+            qos_profile=EVERY_MESSAGE,
+            qos_overriding_options=ADJUSTABLE,
+            publisher_class=CountingPublisher,
         )
         dogs = range(1, self._world.dogs + 1)
         self._sheep = publish(PointCloud2, 'sheep')
@@ -114,7 +117,7 @@ class Sim(Node):
             return
         everything = [
             *(self._sheep, *self._dogs, self._true_sheep, *self._true_dogs),
-            *(self._tick, self._markers),
+            *(self._tick, self._markers, self._diagnostics),
         ]
         if self._settings.wait_for and not is_heard(self, everything, self._settings.wait_for):
             return

@@ -76,7 +76,7 @@ def _draw_with_limit(axes: Axes, run: Run, values: Array, limit: float) -> None:
         f'{limit:.2g} m', (0.0, limit), xycoords=('axes fraction', 'data'), xytext=(3, 2),
         textcoords='offset points', va='bottom', fontsize=8, color=GREY,
     )  # fmt: skip
-    axes.set_ylim(0.0, 1.2 * max(float(values.max()), limit))
+    axes.set_ylim(0.0, 1.2 * max(float(values.max()), limit) or 1.0)
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 

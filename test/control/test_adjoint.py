@@ -51,12 +51,12 @@ def remainders(problem: Problem, steps: Array) -> tuple[Array, float]:
 
 
 def assert_second_order(problem: Problem) -> None:
-    steps = 2e-2 * 2.0 ** -np.arange(6.0)
+    # Small against the 1 cm within which the forces change, large against round-off.
+    steps = 5e-4 * 2.0 ** -np.arange(5.0)
     found, slope = remainders(problem, steps)
     orders = np.log2(found[:-1] / found[1:])
     assert slope > 1e-7  # there is something to get wrong
-    assert np.median(orders) > 1.9
-    assert orders[-1] > 1.9
+    assert orders.min() > 1.9
 
 
 @presets

@@ -1,0 +1,463 @@
+"""The recorder as a process of its own, against publishers in this one: real DDS between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+import itertools
+import json
+import os
+from pathlib import Path
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from mcap.reader import make_reader
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Int32, String
+
+from herding_ros import __version__
+
+LIMIT = 30.0
+"""No condition is waited for any longer [s]."""
+
+RELIABLE = QoSProfile(depth=1000)
+LATCHED = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+_domains = itertools.cycle(range(72, 80))
+
+
+def wait_until(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < end, 'waited too long'
+        time.sleep(0.01)
+
+
+def text_message(text: str) -> bytes:
+    """A std_msgs/String as it is on the wire, where lengths are multiples of four."""
+    data = text.encode() + b'.' * (-(len(text) + 1) % 4) + b'\0'
+    return b'\0\1\0\0' + len(data).to_bytes(4, 'little') + data
+
+
+def some_messages(topic: str, count: int) -> list[bytes]:
+    generator = random.Random(topic)
+    return [text_message(f'{topic} {k} {"x" * generator.randrange(300)}') for k in range(count)]
+
+
+class Recording:
+    """A recorder process and its bag."""
+
+    def __init__(self, folder: Path, domain: int, *parameters: str) -> None:
+        self.path = folder / 'bag'
+        self.log = folder / 'log.txt'
+        arguments = [f'-p{parameter}' for parameter in (f'bag:={self.path}', *parameters)]
+        with self.log.open('wb') as log:
+            self.process = subprocess.Popen(
+                [sys.executable, '-m', 'herding_ros.nodes.recorder', '--ros-args']
+                + [word for each in arguments for word in (each[:2], each[2:])],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
+            )
+
+    def wait_for_file(self, content: bytes) -> None:
+        file = self.path / 'bag_0.mcap'
+        wait_until(lambda: file.is_file() and content in file.read_bytes())
+
+    def wait_for_log(self, text: str) -> None:
+        wait_until(lambda: text in self.log.read_text())
+
+    def end(self, number: int = signal.SIGINT) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(LIMIT)
+
+    def messages(self) -> dict[str, list[bytes]]:
+        """What the bag holds, of each topic."""
+        read: dict[str, list[bytes]] = {}
+        with AnyReader([self.path]) as reader:
+            for connection in reader.connections:
+                read[connection.topic] = []
+            for connection, _, data in reader.messages():
+                read[connection.topic].append(bytes(data))
+        return read
+
+    def custom_data(self) -> dict[str, str]:
+        with AnyReader([self.path]) as reader:
+            custom: dict[str, str] = reader.readers[0].storage.metadata.custom
+            return custom
+
+
+@pytest.fixture
+def domain() -> int:
+    return next(_domains)
+
+
+@contextmanager
+def other_node(domain: int, name: str = 'other') -> Iterator[Node]:
+    """A node with a participant of its own."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = Node(name, context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
+
+
+@pytest.fixture
+def node(domain: int) -> Iterator[Node]:
+    with other_node(domain, 'tester') as node:
+        yield node
+
+
+@pytest.fixture
+def record(tmp_path: Path, domain: int) -> Iterator[Callable[..., Recording]]:
+    """Start a recorder with the given parameters."""
+    started: list[Recording] = []
+
+    def start(*parameters: str) -> Recording:
+        started.append(Recording(tmp_path, domain, *parameters))
+        return started[-1]
+
+    yield start
+    for recording in started:
+        recording.process.kill()
+        recording.process.wait()
+
+
+def is_heard(publishers: list[Publisher], by: int = 1) -> bool:
+    return all(publisher.get_subscription_count() >= by for publisher in publishers)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_every_byte_of_every_topic_is_recorded(
+    node: Node, record: Callable[..., Recording], number: int
+) -> None:
+    kinds = {'latched': LATCHED, 'reliable': RELIABLE, 'best_effort': BEST_EFFORT}
+    publishers = {
+        f'/{kind}_{k}': node.create_publisher(String, f'/{kind}_{k}', qos)
+        for kind, qos in kinds.items()
+        for k in range(8 if kind == 'reliable' else 6)
+    }
+    sent = {topic: some_messages(topic, 200) for topic in [*publishers, '/late']}
+    for topic, publisher in publishers.items():  # before the recorder is there
+        for message in sent[topic][:50] if 'latched' in topic else []:
+            publisher.publish(message)
+    recording = record()
+    wait_until(lambda: is_heard(list(publishers.values())))
+    publishers['/late'] = node.create_publisher(String, '/late', RELIABLE)
+    wait_until(lambda: is_heard([publishers['/late']]))
+    for k in range(200):
+        for topic, publisher in publishers.items():
+            if k >= 50 or 'latched' not in topic:
+                publisher.publish(sent[topic][k])
+        time.sleep(0.001)
+    assert recording.end(number) == 0
+
+    read = recording.messages()
+    assert {topic: len(read[topic]) for topic in sent} == {topic: 200 for topic in sent}
+    assert {topic: read[topic] for topic in sent} == sent
+    assert '/rosout' in read
+    assert '/parameter_events' in read
+    with (recording.path / 'bag_0.mcap').open('rb') as stream:
+        by_mcap: dict[str, list[bytes]] = {topic: [] for topic in sent}
+        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            if channel.topic in sent:
+                assert schema is not None
+                assert schema.name == 'std_msgs/msg/String'
+                assert 'string data' in schema.data.decode()
+                assert channel.metadata['topic_type_hash'].startswith('RIHS01_df668c7404')
+                # Published and received on one machine, within the patience of this test.
+                assert 0 <= message.log_time - message.publish_time < LIMIT * 1e9
+                by_mcap[channel.topic].append(message.data)
+    assert by_mcap == sent
+    total = sum(map(len, read.values()))
+    assert f'recorded {total} messages of {len(read)} topics' in recording.log.read_text()
+
+
+def test_profiles_are_those_of_the_publishers(
+    node: Node, record: Callable[..., Recording]
+) -> None:
+    publishers = [
+        node.create_publisher(String, '/latched', LATCHED),
+        node.create_publisher(String, '/best_effort', BEST_EFFORT),
+        node.create_publisher(String, '/best_effort', RELIABLE),
+    ]
+    recording = record()
+    wait_until(lambda: is_heard(publishers))
+    assert recording.end() == 0
+    with AnyReader([recording.path]) as reader:
+        profiles = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+    assert [p.durability for p in profiles['/latched']] == [QosDurability.TRANSIENT_LOCAL]
+    assert {p.reliability for p in profiles['/best_effort']} == {
+        QosReliability.RELIABLE,
+        QosReliability.BEST_EFFORT,
+    }
+
+
+def test_publisher_that_offers_less_is_recorded_too(
+    node: Node, record: Callable[..., Recording]
+) -> None:
+    first = node.create_publisher(String, '/topic', LATCHED)
+    recording = record()
+    wait_until(lambda: is_heard([first]))
+    first.publish(text_message('first'))
+    second = node.create_publisher(String, '/topic', BEST_EFFORT)
+    wait_until(lambda: is_heard([first, second]))
+    first.publish(text_message('first again'))
+    second.publish(text_message('second'))
+    assert recording.end() == 0
+    read = recording.messages()['/topic']
+    assert set(read) == {text_message(text) for text in ('first', 'first again', 'second')}
+    assert 'offers less' in recording.log.read_text()
+
+
+def test_only_chosen_topics_are_recorded(node: Node, record: Callable[..., Recording]) -> None:
+    publishers = [node.create_publisher(String, topic, LATCHED) for topic in ('/a', '/b', '/c')]
+    for publisher in publishers:
+        publisher.publish(text_message('x'))
+    recording = record('topics:=["/a", "/c"]')
+    wait_until(lambda: is_heard([publishers[0], publishers[2]]))
+    assert recording.end() == 0
+    assert recording.messages() == {'/a': [text_message('x')], '/c': [text_message('x')]}
+
+
+def test_topic_of_two_types_is_left_out_and_told_once(
+    node: Node, record: Callable[..., Recording], domain: int
+) -> None:
+    node.create_publisher(String, '/confused', RELIABLE)
+    with other_node(domain) as other:
+        other.create_publisher(Int32, '/confused', RELIABLE)
+        wait_until(lambda: len(node.get_publishers_info_by_topic('/confused')) == 2)
+        recording = record()
+        recording.wait_for_log('not recording /confused')
+    clear = node.create_publisher(String, '/clear', RELIABLE)
+    wait_until(lambda: is_heard([clear]))
+    assert recording.end() == 0
+    assert '/confused' not in recording.messages()
+    assert recording.log.read_text().count('/confused') == 1
+
+
+def test_parameters_and_version_are_kept(
+    node: Node, record: Callable[..., Recording]
+) -> None:
+    node.declare_parameter('number', 1.5)
+    node.declare_parameter('numbers', [1.0, 2.0])
+    node.declare_parameter('group.text', "it's: ü")
+    node.declare_parameter('bytes', [b'\1', b'\2'])
+    node.declare_parameter('without_value', rclpy.Parameter.Type.STRING)
+    mute = Node('mute', namespace='/far', context=node.context)  # never spun: answers nothing
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    recording = record()
+
+    def is_answered() -> bool:
+        executor.spin_once(timeout_sec=0.01)
+        file = recording.path / 'bag_0.mcap'
+        return file.is_file() and b'"/tester": {' in file.read_bytes()
+
+    wait_until(is_answered)
+    mute.destroy_node()
+    assert recording.end() == 0
+    custom_data = recording.custom_data()
+    assert custom_data['herding_ros_version'] == __version__
+    parameters = json.loads(custom_data['parameters'])
+    assert set(parameters) <= {'/tester', '/recorder'}
+    assert parameters['/tester'].items() >= {
+        'number': 1.5,
+        'numbers': [1.0, 2.0],
+        'group.text': "it's: ü",
+        'bytes': [[1], [2]],
+        'use_sim_time': False,
+    }.items()
+    assert 'without_value' not in parameters['/tester']
+
+
+def test_log_times_are_the_simulations(node: Node, record: Callable[..., Recording]) -> None:
+    early = node.create_publisher(String, '/early', LATCHED)
+    early.publish(text_message('early'))
+    clock = node.create_publisher(Clock, '/clock', RELIABLE)
+    state = node.create_publisher(String, '/state', RELIABLE)
+    recording = record('use_sim_time:=true', 'topics:=["/early", "/state"]')
+    wait_until(lambda: is_heard([early, state]) and is_heard([clock], by=2))  # one is rclpy's
+    ticks = [*range(5, 25), *range(0, 10)]  # a reset after 20
+    for tick in ticks:
+        clock.publish(serialize_message(Clock(clock=Time(sec=tick))))
+        state.publish(text_message(f'{tick}'))
+        time.sleep(0.025)  # for a round of the recorder between any two
+    assert recording.end() == 0
+    times: dict[str, list[int]] = {'/early': [], '/state': [], '/clock': []}
+    order = []
+    with (recording.path / 'bag_0.mcap').open('rb') as stream:
+        for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+            times[channel.topic].append(message.log_time)
+            order.append(message.log_time)
+    # Time in a bag never goes back, or a player would mix what was before and after the reset.
+    expected = [tick * 10**9 for tick in (*range(5, 25), *range(24, 34))]
+    assert times == {'/early': [5 * 10**9], '/state': expected, '/clock': expected}
+    assert order == sorted(order)
+
+
+def test_without_any_clock_nothing_is_lost(node: Node, record: Callable[..., Recording]) -> None:
+    publisher = node.create_publisher(String, '/topic', RELIABLE)
+    recording = record('use_sim_time:=true')
+    wait_until(lambda: is_heard([publisher]))
+    publisher.publish(text_message('x'))
+    assert recording.end() == 0
+    assert recording.messages()['/topic'] == [text_message('x')]
+
+
+def test_ten_thousand_messages_a_second(node: Node, record: Callable[..., Recording]) -> None:
+    publishers = {
+        f'/t{k}': node.create_publisher(String, f'/t{k}', RELIABLE) for k in range(20)
+    }
+    recording = record()
+    wait_until(lambda: is_heard(list(publishers.values())))
+    sent = {topic: some_messages(topic, 1500) for topic in publishers}
+    start = time.perf_counter()
+    for k in range(1500):
+        for topic, publisher in publishers.items():
+            publisher.publish(sent[topic][k])
+        time.sleep(max(0.0, start + 0.002 * (k + 1) - time.perf_counter()))
+    assert recording.end() == 0
+    read = recording.messages()
+    assert {topic: read[topic] for topic in sent} == sent
+    assert 'lost' not in recording.log.read_text()
+
+
+def test_lost_messages_are_counted(node: Node, record: Callable[..., Recording]) -> None:
+    publisher = node.create_publisher(String, '/flood', BEST_EFFORT)
+    recording = record()
+    wait_until(lambda: is_heard([publisher]))
+    sent = some_messages('/flood', 10_000)
+    for _ in range(10):  # best effort begins once the recorder has matched as well
+        publisher.publish(text_message('before'))
+        time.sleep(0.05)
+    recording.process.send_signal(signal.SIGSTOP)  # the middleware overflows meanwhile
+    for k, message in enumerate(sent):
+        publisher.publish(message)
+        if k % 100 == 0:
+            time.sleep(0.001)
+    recording.process.send_signal(signal.SIGCONT)
+    for _ in range(20):  # without a successor a gap is not seen
+        publisher.publish(text_message('after'))
+        time.sleep(0.05)
+    recording.wait_for_log('were lost')
+    assert recording.end() == 0
+    read = recording.messages()
+    lost = len(sent) + 20 - sum(data != text_message('before') for data in read['/flood'])
+    assert lost > 0
+    told = re.findall('([0-9]+) messages of /flood were lost', recording.log.read_text())
+    assert sum(map(int, told)) == lost
+    *_, (status, values) = statuses(recording)
+    assert status.level == 2
+    assert 0 < int(values['lost']) <= lost
+
+
+def statuses(recording: Recording) -> Iterator[tuple[Any, dict[str, str]]]:
+    """The statuses of the recorder in its bag, and their values."""
+    with AnyReader([recording.path]) as reader:
+        connections = [c for c in reader.connections if c.topic == '/diagnostics']
+        for connection, _, data in reader.messages(connections):
+            message: Any = reader.deserialize(data, connection.msgtype)
+            for status in message.status:
+                assert status.name == 'recorder: bag'
+                yield status, {pair.key: pair.value for pair in status.values}
+
+
+def test_diagnostics_tell_how_it_goes(node: Node, record: Callable[..., Recording]) -> None:
+    recording = record()
+    publisher = node.create_publisher(String, '/topic', RELIABLE)
+    wait_until(lambda: is_heard([publisher]))
+    for _ in range(100):
+        publisher.publish(text_message('x'))
+    heard: list[Any] = []
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    node.create_subscription(DiagnosticArray, '/diagnostics', heard.append, 10)
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+
+    def is_told() -> bool:
+        executor.spin_once(timeout_sec=0.01)
+        return len(heard) >= 2
+
+    wait_until(is_told)
+    assert recording.end() == 0
+    *_, (status, values) = statuses(recording)
+    assert status.level == 0
+    assert values['bag'] == str(recording.path)
+    assert int(values['messages']) >= 100
+    assert int(values['bytes']) >= 100 * len(text_message('x'))
+    assert values['lost'] == '0'
+
+
+def test_existing_bag_is_refused(tmp_path: Path, record: Callable[..., Recording]) -> None:
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag' / 'precious').write_text('precious')
+    recording = record()
+    assert recording.process.wait(LIMIT) == 2
+    assert 'exists already' in recording.log.read_text()
+    assert 'Traceback' not in recording.log.read_text()
+    assert [file.name for file in (tmp_path / 'bag').iterdir()] == ['precious']
+
+
+def test_impossible_target_is_refused(tmp_path: Path, record: Callable[..., Recording]) -> None:
+    (tmp_path / 'file').write_text('')
+    recording = record(f'bag:={tmp_path}/file/bag')
+    assert recording.process.wait(LIMIT) == 2
+    assert 'cannot create' in recording.log.read_text()
+    assert 'Traceback' not in recording.log.read_text()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_end_before_anything_is_discovered(
+    record: Callable[..., Recording], number: int
+) -> None:
+    recording = record()
+    recording.wait_for_log('recording into')
+    begin = time.monotonic()
+    recording.process.send_signal(number)
+    assert recording.end(number) == 0  # twice
+    assert time.monotonic() - begin < 2.0
+    recording.messages()
+    assert 'Traceback' not in recording.log.read_text()
+
+
+def test_end_at_any_time(tmp_path: Path, domain: int) -> None:
+    # From the moment the program has taken over the signals.
+    generator = random.Random(0)
+    for k in range(6):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        recording = Recording(folder, domain)
+        ready = partial(takes_signals, recording.process.pid)
+        wait_until(ready)
+        time.sleep(generator.uniform(0.0, 0.6))
+        assert recording.end(generator.choice([signal.SIGINT, signal.SIGTERM])) == 0
+        recording.messages()
+
+
+def takes_signals(pid: int) -> bool:
+    """Whether a process catches SIGTERM, by its status in /proc."""
+    for line in Path(f'/proc/{pid}/status').read_text().splitlines():
+        if line.startswith('SigCgt:'):
+            return bool(int(line.split()[1], 16) & 1 << (signal.SIGTERM - 1))
+    return False
