@@ -6,10 +6,12 @@ import numpy as np
 
 from .state import Array
 
+_ROUND_OFF = 3.0 * np.finfo(np.float64).eps
+
 
 def project(u: Array, max_speed: float) -> Array:
     """Return the admissible control nearest to u (..., 2): each |u_m| <= max_speed [m/s]."""
     speed = np.hypot(u[..., 0], u[..., 1])
-    # Exactly one where the limit is kept, so that a projection twice changes nothing.
-    scale = np.where(speed > max_speed, max_speed / np.maximum(speed, max_speed), 1.0)
-    return u * scale[..., None]
+    # Rounded down, so that the result keeps the limit and a second projection changes nothing.
+    shortened = max_speed * (1.0 - _ROUND_OFF) / np.maximum(speed, max_speed)
+    return u * np.where(speed > max_speed, shortened, 1.0)[..., None]

@@ -268,7 +268,10 @@ def main(args: list[str] | None = None) -> int:
         watcher.destroy_node()
         rclpy.try_shutdown()
     if (options.out / 'bag').exists():
-        write_report(options.out / 'bag', options.out, console)
+        try:
+            write_report(options.out / 'bag', options.out, console)
+        except ValueError as error:
+            console.print(f'no report: {error}', style='red', soft_wrap=True)
     return code
 
 

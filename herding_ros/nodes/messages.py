@@ -7,7 +7,7 @@ not move a dog: wrong frames and fields, NaN, infinities.
 from __future__ import annotations
 
 import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -28,6 +28,7 @@ from std_msgs.msg import ColorRGBA, Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
+from herding_ros.bag.point_cloud import points
 from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import SolveReport
 from herding_ros.model.state import Array, finite
@@ -67,10 +68,10 @@ def dog_frame(m: int) -> str:
 
 def cloud(x: Array, v: Array, ns: int, frame: str) -> PointCloud2:
     """Sheep at x (N, 2) [m] with velocities v (N, 2) [m/s] as a point cloud."""
-    points = np.zeros(len(x), _CLOUD)
-    points['id'] = np.arange(len(x))
-    points['x'], points['y'] = x.T
-    points['vx'], points['vy'] = v.T
+    sheep = np.zeros(len(x), _CLOUD)
+    sheep['id'] = np.arange(len(x))
+    sheep['x'], sheep['y'] = x.T
+    sheep['vx'], sheep['vy'] = v.T
     return PointCloud2(
         header=Header(stamp=stamp_of(ns), frame_id=frame),
         height=1,
@@ -79,7 +80,7 @@ def cloud(x: Array, v: Array, ns: int, frame: str) -> PointCloud2:
         is_bigendian=False,
         point_step=_CLOUD.itemsize,
         row_step=_CLOUD.itemsize * len(x),
-        data=array.array('B', points.tobytes()),
+        data=array.array('B', sheep.tobytes()),
         is_dense=True,
     )
 
@@ -87,39 +88,22 @@ def cloud(x: Array, v: Array, ns: int, frame: str) -> PointCloud2:
 def sheep_in(message: PointCloud2, frame: str) -> tuple[Array, Array]:
     """Positions (N, 2) [m] and velocities (N, 2) [m/s] of the sheep in a point cloud.
 
-    Fields x, y, vx, vy must be there as single floats, in any order and with any others.
+    Fields x, y, vx, vy must be there as floats, in any order and with any others.
     """
     check_frame('sheep', message.header.frame_id, frame)
-    offsets = {f.name: f.offset for f in message.fields if f.datatype == PointField.FLOAT32}
-    missing = [name for name in ('x', 'y', 'vx', 'vy') if name not in offsets]
-    if missing:
-        raise ValueError(f'sheep have no field {", ".join(missing)} of type FLOAT32')
-    n, step = message.width * message.height, message.point_step
-    if n < 1:
+    if not message.width * message.height:
         raise ValueError('sheep are an empty cloud, allowed is at least one point')
-    if len(message.data) != n * step or message.row_step != message.width * step:
-        raise ValueError(
-            f'sheep hold {len(message.data)} bytes, allowed are {n} points of {step} bytes '
-            'without padding'
-        )
-    if max(offsets[name] for name in ('x', 'y', 'vx', 'vy')) + 4 > step:
-        raise ValueError(f'sheep have a field beyond the point step of {step} bytes')
-    kind = '>f4' if message.is_bigendian else '<f4'
-    names = ['x', 'y', 'vx', 'vy']
-    points = np.frombuffer(
-        message.data,
-        np.dtype(
-            {
-                'names': names,
-                'formats': [kind] * 4,
-                'offsets': [offsets[name] for name in names],
-                'itemsize': step,
-            }
-        ),
-    )
-    x = np.stack([points['x'], points['y']], axis=1)
-    v = np.stack([points['vx'], points['vy']], axis=1)
-    return finite('sheep positions', x, (n, 2)), finite('sheep velocities', v, (n, 2))
+    sheep = points(message)
+    missing = [
+        name
+        for name in ('x', 'y', 'vx', 'vy')
+        if name not in (sheep.dtype.names or ()) or sheep.dtype[name].kind != 'f'
+    ]
+    if missing:
+        raise ValueError(f'sheep have no field {", ".join(missing)} of type FLOAT32 or FLOAT64')
+    x = np.stack([sheep['x'], sheep['y']], axis=1)
+    v = np.stack([sheep['vx'], sheep['vy']], axis=1)
+    return finite('sheep positions', x, (None, 2)), finite('sheep velocities', v, (None, 2))
 
 
 def odometry(d: Array, u: Array, m: int, ns: int, frame: str) -> Odometry:
@@ -186,10 +170,10 @@ def trajectory(plan: Plan, dogs: Array, ns: int, frame: str) -> MultiDOFJointTra
     return message
 
 
-def path(points: Array, dt: float, ns: int, frame: str) -> Path:
-    """Points (K, 2) [m], dt [s] apart, the first at the stamp."""
+def path(route: Array, dt: float, ns: int, frame: str) -> Path:
+    """Route (K, 2) [m], its points dt [s] apart, the first at the stamp."""
     message = Path(header=Header(stamp=stamp_of(ns), frame_id=frame))
-    for k, (x, y) in enumerate(points.tolist()):
+    for k, (x, y) in enumerate(route.tolist()):
         header = Header(stamp=stamp_of(ns + round(k * dt * 1e9)), frame_id=frame)
         pose = Pose(position=Point(x=x, y=y))
         message.poses.append(PoseStamped(header=header, pose=pose))
@@ -249,12 +233,8 @@ def markers(x: Array, d: Array, goal: Array, ns: int, frame: str) -> MarkerArray
                 pose=Pose(orientation=Quaternion(w=1.0)),
                 scale=Vector3(x=size, y=size, z=size),
                 color=color,
-                points=_points(points),
+                points=[Point(x=x, y=y) for x, y in vertices.tolist()],
             )
-            for name, kind, color, size, points in shapes
+            for name, kind, color, size, vertices in shapes
         ]
     )
-
-
-def _points(points: Array) -> Iterable[Point]:
-    return [Point(x=x, y=y) for x, y in points.tolist()]

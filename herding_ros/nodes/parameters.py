@@ -9,7 +9,14 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
-from herding_ros.model.parameters import Crowd, CROWDS, describe_limits, Parameters, quantity
+from herding_ros.model.parameters import (
+    check,
+    Crowd,
+    CROWDS,
+    describe_limits,
+    Parameters,
+    quantity,
+)
 
 _P = TypeVar('_P', bound=Parameters)
 _UNBOUNDED = 1e9
@@ -77,4 +84,4 @@ def _declare_field(node: Node, name: str, default: Any, field: dataclasses.Field
             f'parameter {name} is {given.value if given else initial!r}, '
             f'allowed is {describe_limits(field)}'
         ) from error
-    return tuple(value) if isinstance(default, tuple) else value
+    return check(f'parameter {name}', value, field)

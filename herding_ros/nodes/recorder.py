@@ -21,11 +21,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor
 import rclpy
 from rclpy.clock import Clock, ClockType, ROSClock
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
-from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from .. import __version__
@@ -73,7 +72,7 @@ class Recorder(Node):
         )
         self._chosen = {topic for topic in topics if topic}
         self._taps: dict[str, Tap] = {}
-        self._left_out: set[str] = set()  # topics that cannot be recorded, each told once
+        self._told: set[str] = set()  # topics that cannot be recorded, or not all of them
         self._queries: dict[str, ParameterQuery] = {}
         self._parameters_of: dict[str, dict[str, Any]] = {}
         self._waiting: list[Received] = []  # for the first /clock
@@ -100,20 +99,17 @@ class Recorder(Node):
         executor = SingleThreadedExecutor()
         executor.add_node(self)
         self._look_at_graph()
-        try:
-            while not stop.is_set():
-                time.sleep(TAKE_PERIOD)
-                executor.spin_once(timeout_sec=0.0)
-                self._write(self._take_all())
-        except ExternalShutdownException:
-            pass  # whoever shut the context down wants the bag complete as well
+        while not stop.is_set():
+            time.sleep(TAKE_PERIOD)
+            executor.spin_once(timeout_sec=0.0)
+            self._write(self._take_all())
         time.sleep(LAST_MESSAGES)
         self._write(self._take_all(), last=True)
         self._count_lost()
 
     def _look_at_graph(self) -> None:
         for topic, types in self.get_topic_names_and_types():
-            if topic not in self._left_out and self._is_wanted(topic):
+            if topic not in self._told and self._is_wanted(topic):
                 self._follow(topic, types)
         for name, namespace in self.get_node_names_and_namespaces():
             full_name = f'{namespace.rstrip("/")}/{name}'
@@ -147,15 +143,20 @@ class Recorder(Node):
         publishers = self.get_publishers_info_by_topic(topic)
         if not publishers:
             return
-        qos = adapted_qos(publishers, DEPTH)
         tap = self._taps.get(topic)
+        if len(types) > 1:
+            self._told.add(topic)
+            what = 'is not recorded' if tap is None else 'is recorded as the first that was there'
+            self.get_logger().warning(f'{topic} has several types, {", ".join(types)}: it {what}')
+            return
+        qos = adapted_qos(publishers, DEPTH)
         if tap is None:
             try:
-                message_type = _message_type(types)
+                message_type = _message_type(types[0])
                 definition = message_definition(types[0])
             except ValueError as error:
-                self._left_out.add(topic)
-                self.get_logger().warning(f'not recording {topic}: {error}')
+                self._told.add(topic)
+                self.get_logger().warning(f'{topic} is not recorded: {error}')
                 return
             self._bag.add_topic(
                 topic,
@@ -276,24 +277,21 @@ def main(args: list[str] | None = None) -> int:
         rclpy.try_shutdown()
 
 
-def _message_type(types: Sequence[str]) -> Any:
-    """Return the class of a topic's type; ValueError when there is no single one."""
-    if len(types) > 1:
-        raise ValueError(f'its publishers disagree on its type: {", ".join(types)}')
+def _message_type(name: str) -> Any:
+    """Return the class of a type; ValueError when it cannot be imported."""
     try:
-        package, kind, name = types[0].split('/')
+        package, kind, name = name.split('/')
         return getattr(import_module(f'{package}.{kind}'), name)
     except (ImportError, AttributeError) as error:
         raise ValueError(
-            f'its type {types[0]} cannot be imported ({error}); '
-            'source the workspace that provides it'
+            f'its type cannot be imported ({error}); source the workspace that provides it'
         ) from error
 
 
 def _clock_ns(data: bytes) -> int:
     """Return the time [ns] in a serialised /clock message."""
-    time_ns: int = Time.from_msg(deserialize_message(data, ClockMessage).clock).nanoseconds
-    return time_ns
+    clock = deserialize_message(data, ClockMessage).clock
+    return max(int(clock.sec) * 1_000_000_000 + int(clock.nanosec), 0)
 
 
 if __name__ == '__main__':

@@ -129,3 +129,41 @@ def test_inner_product_is_that_of_square_integrable_functions(random_herd: HerdM
     u = np.stack([np.sin(t), np.cos(t)], axis=-1)[:, None]
     assert coarse.interval == pytest.approx(0.1)
     assert coarse.inner(u, u) == pytest.approx(2.0, rel=1e-13)
+
+
+@presets
+@pytest.mark.parametrize(('substeps', 'every'), [(1, 1), (5, 1), (5, 7), (5, 20)])
+def test_centre_sensitivity_is_the_derivative_of_the_centre(
+    problem: Callable[..., Problem], preset: str, substeps: int, every: int
+) -> None:
+    coarse, _, u = problem(preset, 9, 2, substeps)
+    du, h = np.random.default_rng(0).normal(0.0, 1.0, u.shape), 1e-5
+    there, back = (coarse.rollout(u + step * du).x.mean(axis=1) for step in (h, -h))
+    times = range(every, 41, every)
+    expected = np.sqrt(every * coarse.dt) * ((there - back) / (2.0 * h))[list(times)].ravel()
+    linear = coarse.centre_sensitivity(u, every)
+    np.testing.assert_array_equal(linear.nodes, times)
+    scale = np.abs(expected).max()
+    assert scale > 1e-4
+    np.testing.assert_allclose(linear.times(du), expected, rtol=0, atol=1e-5 * scale)
+
+
+def test_centre_sensitivity_is_weighted_like_an_integral(problem: Callable[..., Problem]) -> None:
+    coarse, _, u = problem('cohesive', 5, 2, 5)
+    linear = coarse.centre_sensitivity(u, 5)
+    t = coarse.dt * np.arange(41.0)
+    residual = linear.residual(np.stack([t, 1.0 - t], axis=1))
+    # The right-hand Riemann sum of t^2 + (1 - t)^2 over (0, 2) with steps of a quarter.
+    nodes = np.arange(1, 9) / 4.0
+    expected = (nodes**2 + (1.0 - nodes) ** 2).sum() / 4.0
+    assert residual @ residual == pytest.approx(expected, rel=1e-13)
+
+
+@presets
+def test_transposed_sensitivity_is_the_adjoint(
+    problem: Callable[..., Problem], preset: str
+) -> None:
+    coarse, _, u = problem(preset, 9, 3, 5)
+    linear, rng = coarse.centre_sensitivity(u, 4), np.random.default_rng(1)
+    du, e = rng.normal(size=u.shape), rng.normal(size=20)
+    assert coarse.inner(du, linear.transposed(e)) == pytest.approx(linear.times(du) @ e, rel=1e-12)

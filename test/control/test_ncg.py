@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 
 from herding_ros.control.ncg import ncg
@@ -23,7 +25,7 @@ def test_accepted_values_only_fall() -> None:
     for limit in range(1, 25):
         found = ncg(recorded(curvature, []), lambda u: u, np.array([300.0, 1.0]), dot, 0.0, limit)
         values.append(found.value)
-    assert all(b < a for a, b in zip(values[:-1], values[1:], strict=True))
+    assert all(b < a for a, b in itertools.pairwise(values))
 
 
 def test_conjugate_directions_beat_steepest_descent() -> None:
@@ -47,6 +49,6 @@ def test_stops_as_the_paper_does_when_a_step_is_short() -> None:
 
     found = ncg(bowl, lambda u: u, np.array([30.0, 40.0]), dot, 0.5, 1000)
     assert found.status is Status.CONVERGED
-    lengths = [np.linalg.norm(b - a) for a, b in zip(iterates[:-1], iterates[1:], strict=True)]
+    lengths = [np.linalg.norm(b - a) for a, b in itertools.pairwise(iterates)]
     assert lengths[-1] <= 0.5
     assert min(lengths[:-1]) > 0.5

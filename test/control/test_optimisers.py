@@ -74,9 +74,7 @@ def solved(
     max_iterations: int = 5000,
 ) -> Solution:
     start = problem.start if start is None else start
-    return optimise(
-        problem, problem.project, start, problem.inner, tolerance, max_iterations
-    )
+    return optimise(problem, problem.project, start, problem.inner, tolerance, max_iterations)
 
 
 @optimisers

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 
 from herding_ros.control.solution import Status
@@ -24,7 +26,7 @@ def test_value_may_rise_on_the_way_but_the_best_point_is_returned() -> None:
         seen.clear()
         found = spg(valley, lambda u: u, np.array([300.0, 1.0]), dot, 0.0, limit)
         values = [value for value, _ in seen]
-        rose = rose or any(b > a for a, b in zip(values[1:], values[2:], strict=False))
+        rose = rose or any(b > a for a, b in itertools.pairwise(values))
         assert found.value == min(values)
         assert found.value == valley(found.u)[0]
     assert rose

@@ -239,7 +239,7 @@ def test_only_chosen_topics_are_recorded(node: Node, record: Callable[..., Recor
     assert recording.messages() == {'/a': [text_message('x')], '/c': [text_message('x')]}
 
 
-def test_topic_of_two_types_is_left_out_and_told_once(
+def test_topic_of_two_types_is_told_once_and_harms_no_other(
     node: Node, record: Callable[..., Recording], domain: int
 ) -> None:
     node.create_publisher(String, '/confused', RELIABLE)
@@ -247,17 +247,15 @@ def test_topic_of_two_types_is_left_out_and_told_once(
         other.create_publisher(Int32, '/confused', RELIABLE)
         wait_until(lambda: len(node.get_publishers_info_by_topic('/confused')) == 2)
         recording = record()
-        recording.wait_for_log('not recording /confused')
+        recording.wait_for_log('/confused has several types')
     clear = node.create_publisher(String, '/clear', RELIABLE)
     wait_until(lambda: is_heard([clear]))
     assert recording.end() == 0
-    assert '/confused' not in recording.messages()
+    assert '/clear' in recording.messages()
     assert recording.log.read_text().count('/confused') == 1
 
 
-def test_parameters_and_version_are_kept(
-    node: Node, record: Callable[..., Recording]
-) -> None:
+def test_parameters_and_version_are_kept(node: Node, record: Callable[..., Recording]) -> None:
     node.declare_parameter('number', 1.5)
     node.declare_parameter('numbers', [1.0, 2.0])
     node.declare_parameter('group.text', "it's: ü")
@@ -280,13 +278,16 @@ def test_parameters_and_version_are_kept(
     assert custom_data['herding_ros_version'] == __version__
     parameters = json.loads(custom_data['parameters'])
     assert set(parameters) <= {'/tester', '/recorder'}
-    assert parameters['/tester'].items() >= {
-        'number': 1.5,
-        'numbers': [1.0, 2.0],
-        'group.text': "it's: ü",
-        'bytes': [[1], [2]],
-        'use_sim_time': False,
-    }.items()
+    assert (
+        parameters['/tester'].items()
+        >= {
+            'number': 1.5,
+            'numbers': [1.0, 2.0],
+            'group.text': "it's: ü",
+            'bytes': [[1], [2]],
+            'use_sim_time': False,
+        }.items()
+    )
     assert 'without_value' not in parameters['/tester']
 
 
@@ -325,9 +326,7 @@ def test_without_any_clock_nothing_is_lost(node: Node, record: Callable[..., Rec
 
 
 def test_ten_thousand_messages_a_second(node: Node, record: Callable[..., Recording]) -> None:
-    publishers = {
-        f'/t{k}': node.create_publisher(String, f'/t{k}', RELIABLE) for k in range(20)
-    }
+    publishers = {f'/t{k}': node.create_publisher(String, f'/t{k}', RELIABLE) for k in range(20)}
     recording = record()
     wait_until(lambda: is_heard(list(publishers.values())))
     sent = {topic: some_messages(topic, 1500) for topic in publishers}
@@ -428,9 +427,7 @@ def test_impossible_target_is_refused(tmp_path: Path, record: Callable[..., Reco
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_end_before_anything_is_discovered(
-    record: Callable[..., Recording], number: int
-) -> None:
+def test_end_before_anything_is_discovered(record: Callable[..., Recording], number: int) -> None:
     recording = record()
     recording.wait_for_log('recording into')
     begin = time.monotonic()

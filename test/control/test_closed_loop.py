@@ -1,0 +1,99 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from herding_ros.control.closed_loop import closed_loop, Run
+from herding_ros.control.parameters import Control, Horizon, Mapping
+from herding_ros.model.parameters import Crowd
+from herding_ros.model.simulation import Simulation, World
+
+GOAL = np.array([0.5, 0.5])
+SMALL = Control(horizon=Horizon(length=8.0, accepted=4.0), mapping=Mapping(paths=20))
+
+
+def short_run(world: World) -> Run:
+    return closed_loop(Crowd(noise=0.02), world, SMALL, GOAL, 10.0)
+
+
+def spread(run: Run) -> float:
+    """Root-mean-square distance from the centre at the end, relative to the start."""
+    apart = run.x - run.x.mean(axis=1, keepdims=True)
+    each = np.sqrt(np.square(apart).sum(axis=2).mean(axis=1))
+    return float(each[-1] / each[0])
+
+
+RUNS = [
+    (World(), (0.5, 0.5), 60.0),
+    (World(dogs=3, seed=4), (1.0, 1.0), 120.0),
+    (World(dogs=2, seed=1), (0.5, 0.5), 120.0),
+]
+
+
+@pytest.mark.parametrize(('world', 'goal', 'limit'), RUNS)
+def test_flock_comes_home(world: World, goal: tuple[float, float], limit: float) -> None:
+    run = closed_loop(Crowd(), world, Control(), np.array(goal), limit)
+    assert run.arrived
+    assert run.t[-1] <= limit
+    away = np.linalg.norm(run.x.mean(axis=1) - goal, axis=1)
+    assert away[-1] < 0.05 + 1e-6  # arrival is judged in single precision
+    assert away[0] > 0.4
+    assert spread(run) <= 1.5
+    assert np.linalg.norm(run.u, axis=-1).max() <= 0.05 * (1.0 + 1e-15)
+
+
+@pytest.mark.parametrize(('world', 'goal', 'limit'), RUNS)
+def test_flock_does_not_come_home_by_itself(
+    world: World, goal: tuple[float, float], limit: float
+) -> None:
+    """Dogs that cannot move still push: the flock drifts, but not onto the goal."""
+    control = Control(max_speed=1e-6, mapping=Mapping(max_iterations=0))
+    run = closed_loop(Crowd(), world, control, np.array(goal), limit)
+    assert not run.arrived
+    assert run.t[-1] == pytest.approx(limit, abs=1e-9)
+    assert np.linalg.norm(run.x.mean(axis=1) - goal, axis=1).min() > 0.05
+
+
+def test_run_repeats_bit_for_bit() -> None:
+    one, same, other = (short_run(World(sheep=9, dogs=2, seed=seed)) for seed in (1, 1, 2))
+    for field in ('t', 'x', 'd', 'u'):
+        np.testing.assert_array_equal(getattr(one, field), getattr(same, field))
+    assert (one.x[1:] != other.x[1:]).any(axis=(1, 2)).all()
+    untimed = [
+        [dataclasses.replace(report, seconds={}) for report in run.reports] for run in (one, same)
+    ]
+    assert untimed[0] == untimed[1]
+
+
+def test_run_is_what_the_simulation_did() -> None:
+    world, seen = World(sheep=9, dogs=2, seed=1), []
+    run = closed_loop(
+        Crowd(noise=0.02), world, SMALL, GOAL, 10.0, lambda sim: seen.append(sim.state.x)
+    )
+    assert run.x.shape == (101, 9, 2)
+    assert run.d.shape == (101, 2, 2)
+    assert run.u.shape == (100, 2, 2)
+    np.testing.assert_allclose(run.t, 0.1 * np.arange(101), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(run.x[1:], seen)
+    np.testing.assert_allclose(np.diff(run.d, axis=0), 0.1 * run.u, rtol=0, atol=1e-14)
+    assert len(run.reports) == 3  # at 0, 4 and 8 s
+    again = Simulation(Crowd(noise=0.02), world, GOAL)
+    for u, x in zip(run.u, run.x[1:], strict=True):
+        again.advance(u)
+        np.testing.assert_array_equal(again.state.x, x)
+
+
+def test_flock_at_home_needs_no_herding() -> None:
+    world = World(sheep=9, dogs=2, seed=1)
+    here = Simulation(Crowd(), world, GOAL).state.x.mean(axis=0)
+    run = closed_loop(Crowd(), world, Control(), here, 10.0)
+    assert run.arrived
+    assert run.x.shape == (1, 9, 2)
+    assert run.u.shape == (0, 2, 2)
+    assert run.reports == ()
+
+
+@pytest.mark.parametrize('goal', [(0.5,), (0.5, np.nan), (0.5, 0.5, 0.5)])
+def test_bad_goals_are_refused(goal: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match=r'^goal '):
+        closed_loop(Crowd(), World(), Control(), goal, 1.0)

@@ -1,0 +1,118 @@
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from herding_ros.control.gauss_newton import gauss_newton
+from herding_ros.control.solution import Solution, Status
+from herding_ros.model.admissible import project
+from herding_ros.model.state import Array
+
+SHAPE, SIZE, INTERVAL, LIMIT = (5, 3, 2), 30, 0.1, 0.05
+
+
+def inner(a: Array, b: Array) -> float:
+    return INTERVAL * float(np.vdot(a, b))
+
+
+@dataclass
+class Matrix:
+    """A linearisation with its matrix at hand."""
+
+    s: Array
+
+    def times(self, du: Array) -> Array:
+        return self.s @ du.ravel()
+
+    def transposed(self, e: Array) -> Array:
+        return (e @ self.s).reshape(SHAPE) / INTERVAL
+
+
+class LeastSquares:
+    """|S u - y|^2 / 2 + weight / 2 |u - anchor|^2 over balls, with known minimum u*.
+
+    y solves S'(S u* - y) + weight dt (u* - anchor) + mu u* = 0 with mu >= 0, and mu = 0 where
+    |u*| is within the limit: the Karush-Kuhn-Tucker conditions of a strictly convex problem.
+    """
+
+    weight = 1e-2
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        left, right = (np.linalg.qr(rng.normal(size=(SIZE, SIZE)))[0] for _ in range(2))
+        self.s = left @ np.diag(np.linspace(0.5, 1.0, SIZE)) @ right
+        u = rng.normal(size=SHAPE)
+        active = rng.permutation(15).reshape(5, 3, 1) < 7
+        speeds = np.where(active, 1.0, rng.uniform(0.1, 0.9, (5, 3, 1)))
+        self.best = LIMIT * speeds * u / np.linalg.norm(u, axis=-1, keepdims=True)
+        self.anchor = rng.uniform(-LIMIT, LIMIT, SHAPE)
+        multiplier = np.where(active, rng.uniform(0.1, 2.0, (5, 3, 1)), 0.0)
+        pull = self.weight * INTERVAL * (self.best - self.anchor) + multiplier * self.best
+        self.y = self.s @ self.best.ravel() + np.linalg.solve(self.s.T, pull.ravel())
+        self.start = rng.uniform(-LIMIT, LIMIT, SHAPE)
+        self.residuals = 0
+
+    def residual(self, u: Array) -> Array:
+        self.residuals += 1
+        return self.s @ u.ravel() - self.y
+
+    def value(self, u: Array) -> float:
+        change = u - self.anchor
+        distance = self.weight * INTERVAL * np.square(change).sum()
+        return 0.5 * float(np.square(self.residual(u)).sum() + distance)
+
+    def solved(self, linearisation: Matrix, start: Array, iterations: int = 20) -> Solution:
+        return gauss_newton(
+            self.residual, linearisation, self.anchor, self.weight,
+            lambda u: project(u, LIMIT), start, inner, 1e-5, iterations,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_linear_least_squares_over_balls_are_minimised(seed: int) -> None:
+    problem = LeastSquares(seed)
+    found = problem.solved(Matrix(problem.s), problem.start)
+    assert found.calls == problem.residuals
+    np.testing.assert_allclose(found.u, problem.best, rtol=0, atol=1e-4 * LIMIT)
+    assert found.value == pytest.approx(problem.value(problem.best), rel=1e-9)
+    assert found.value == pytest.approx(problem.value(found.u), rel=1e-13)
+    assert np.linalg.norm(found.u, axis=-1).max() <= LIMIT * (1.0 + 1e-15)
+    assert found.iterations <= 3  # the model is exact
+
+
+def test_result_does_not_depend_on_an_inadmissible_start() -> None:
+    problem = LeastSquares(0)
+    found = problem.solved(Matrix(problem.s), 100.0 * problem.start)
+    np.testing.assert_allclose(found.u, problem.best, rtol=0, atol=1e-4 * LIMIT)
+
+
+def test_fixed_linearisation_still_leads_to_the_root_of_a_curved_residual() -> None:
+    """U + 3 u^2 = given, linearised at zero once and for all; the root is known."""
+    root = np.random.default_rng(0).uniform(-0.03, 0.03, SHAPE)
+    found = gauss_newton(
+        lambda u: (u + 3.0 * u**2 - root - 3.0 * root**2).ravel(),
+        Matrix(np.eye(SIZE)),
+        np.zeros(SHAPE),
+        0.0,
+        lambda u: project(u, LIMIT),
+        np.zeros(SHAPE),
+        inner,
+        1e-8,
+        50,
+    )
+    assert found.value < 1e-12
+    np.testing.assert_allclose(found.u, root, rtol=0, atol=1e-6)
+
+
+def test_misleading_linearisation_leaves_the_start() -> None:
+    problem = LeastSquares(1)
+    found = problem.solved(Matrix(-problem.s), problem.start)
+    assert found.status is Status.STAGNATED
+    np.testing.assert_array_equal(found.u, project(problem.start, LIMIT))
+
+
+def test_iteration_limit_is_a_status() -> None:
+    problem = LeastSquares(2)
+    found = problem.solved(Matrix(1.5 * problem.s), problem.start, iterations=1)
+    assert found.status is Status.ITERATION_LIMIT
+    assert found.value < problem.value(project(problem.start, LIMIT))

@@ -1,0 +1,204 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from herding_ros.control.parameters import (
+    Control,
+    Horizon,
+    Mapping,
+    Optimiser,
+    PAPER,
+    Reference,
+)
+from herding_ros.control.plan import Plan
+from herding_ros.control.receding_horizon import RecedingHorizon, reference, Window
+from herding_ros.control.solution import Status
+from herding_ros.model.dynamics import increments, rollout
+from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.parameters import Crowd
+from herding_ros.model.scenario import initial_herd
+from herding_ros.model.state import Array, HerdState
+
+GOAL = np.array([0.5, 0.5])
+# L2 error of the deterministic control with 100 Monte Carlo samples, by sigma (paper, Table 1).
+TABLE_1 = {0.01: 7.00e-3, 0.02: 3.73e-2, 0.03: 9.09e-2, 0.04: 1.57e-1}
+SMALL = Control(
+    horizon=Horizon(length=10.0, accepted=5.0), mapping=Mapping(paths=20, max_iterations=2)
+)
+
+
+def herd(n: int, m: int, seed: int = 0) -> HerdState:
+    return initial_herd(n, m, GOAL, np.random.default_rng(seed))
+
+
+def solved(sigma: float, control: Control, state: HerdState, seed: int = 0) -> Window:
+    return RecedingHorizon(Crowd(noise=sigma), control, GOAL, seed).solve(state, 0.0)
+
+
+def without_mapping(control: Control) -> Control:
+    return dataclasses.replace(control, mapping=Mapping(max_iterations=0))
+
+
+def expected_centre(sigma: float, state: HerdState, plan: Plan, dt: float, noise: Array) -> Array:
+    substeps = round(plan.dt / dt)
+    mean = expected_positions(Crowd(noise=sigma), state, plan.u, dt, substeps, noise)
+    return mean.mean(axis=1)
+
+
+def l2(difference: Array, dt: float) -> float:
+    return float(np.sqrt(dt * np.square(difference).sum()))
+
+
+def test_interpolated_reference_reaches_the_goal_with_the_window() -> None:
+    times, start = np.linspace(0.0, 20.0, 201), np.array([-0.1, 0.2])
+    found = reference(Reference(kind='interpolated'), start, GOAL, times)
+    expected = [start + t / 20.0 * (GOAL - start) for t in times]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize('away', [0.0, 0.1, 5.0])
+def test_attainable_reference_keeps_its_speed_and_waits_at_the_goal(away: float) -> None:
+    times, start = np.linspace(0.0, 20.0, 201), GOAL - away * np.array([0.6, 0.8])
+    found = reference(Reference(kind='attainable', speed=0.02), start, GOAL, times)
+    np.testing.assert_allclose(found[0], start)
+    way = np.linalg.norm(found - start, axis=1)
+    np.testing.assert_allclose(way, np.minimum(0.02 * times, away), rtol=0, atol=1e-14)
+    left = np.linalg.norm(GOAL - found, axis=1)
+    np.testing.assert_allclose(way + left, away, rtol=0, atol=1e-14)  # straight there
+
+
+def test_plan_is_due_when_the_accepted_part_is_played_or_time_is_set_back() -> None:
+    planner = RecedingHorizon(Crowd(), without_mapping(SMALL), GOAL)
+    start = 3_000_000_000
+    assert planner.due(start * 1e-9)
+    planner.solve(herd(4, 2), start * 1e-9)
+    due = [k for k in range(-3, 60) if planner.due((start + k * 100_000_000) * 1e-9)]
+    assert due == [-3, -2, -1, *range(50, 60)]
+    planner.restart()
+    assert planner.plan is None
+    assert planner.due(start * 1e-9)
+
+
+@pytest.mark.parametrize('method', ['output', 'aggressive'])
+@pytest.mark.parametrize('optimiser', ['spg', 'ncg'])
+def test_without_noise_the_coarse_plan_is_kept(method: str, optimiser: str) -> None:
+    control = dataclasses.replace(
+        SMALL, mapping=Mapping(method=method, paths=7), optimiser=Optimiser(method=optimiser)
+    )
+    state = herd(9, 3)
+    window = solved(0.0, control, state)
+    assert window.report.mapping_iterations == 0
+    assert window.report.mapping_status is Status.CONVERGED
+    assert window.report.mapping_error_before < 1e-13
+    assert window.report.mapping_error_after < 1e-13
+    coarse = solved(0.0, without_mapping(control), state)
+    np.testing.assert_array_equal(window.plan.u, coarse.plan.u)
+
+
+def test_without_noise_matching_every_individual_does_not_keep_the_coarse_plan() -> None:
+    """Why the centre is the default observable: T(u_c) = u_c should hold for equal models."""
+    mapping = Mapping(method='aggressive', observable='individuals', paths=1)
+    report = solved(0.0, dataclasses.replace(PAPER, mapping=mapping), herd(30, 5)).report
+    assert report.mapping_residuals[0] > 0.1
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_mapping_lowers_the_error_fivefold(seed: int) -> None:
+    control = dataclasses.replace(PAPER, mapping=Mapping(max_iterations=4))
+    report = solved(0.02, control, herd(30, 5, seed), seed).report
+    assert report.mapping_iterations <= 4
+    assert report.mapping_error_after < report.mapping_error_before / 5.0
+
+
+def test_error_of_the_coarse_plan_is_that_of_the_paper() -> None:
+    """The mean over six flocks; the paper has one, whose geometry it does not give."""
+    errors: dict[float, list[float]] = {sigma: [] for sigma in TABLE_1}
+    for seed in range(6):
+        state, rng = herd(30, 5, seed), np.random.default_rng(100 + seed)
+        window = solved(0.0, without_mapping(PAPER), state)
+        noise = increments(rng, Crowd(noise=1.0), 30, window.dt, len(window.centre) - 1, 100)
+        for sigma, found in errors.items():
+            centre = expected_centre(sigma, state, window.plan, window.dt, sigma * noise)
+            found.append(l2(centre - window.centre, window.dt))
+    for sigma, published in TABLE_1.items():
+        assert published / 1.5 < np.mean(errors[sigma]) < published * 1.5
+
+
+@pytest.mark.parametrize('method', ['output', 'aggressive'])
+def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
+    sigma, state = 0.03, herd(9, 2)
+    mapping = Mapping(method=method, paths=20, max_iterations=2, accuracy=1e-6, tolerance=1e-6)
+    control = dataclasses.replace(SMALL, mapping=mapping)
+    window = solved(sigma, control, state, seed=5)
+    coarse = solved(sigma, without_mapping(control), state, seed=5)
+    noise = increments(
+        np.random.default_rng(5), Crowd(noise=sigma), 9, window.dt, len(window.centre) - 1, 20
+    )
+    before, after = (
+        expected_centre(sigma, state, each.plan, window.dt, noise) for each in (coarse, window)
+    )
+    np.testing.assert_allclose(window.centre, after, rtol=0, atol=1e-14)
+    report = window.report
+    expected = l2(before - coarse.centre, window.dt)
+    assert report.mapping_error_before == pytest.approx(expected, rel=1e-9)
+    expected = l2(after - coarse.centre, window.dt)
+    assert report.mapping_error_after == pytest.approx(expected, rel=1e-9)
+    assert 0.0 < report.mapping_error_after < report.mapping_error_before
+    played = rollout(Crowd(), state, window.plan.u, window.dt, control.horizon.substeps)
+    np.testing.assert_array_equal(window.dogs, played.d)
+    assert np.linalg.norm(window.plan.u, axis=-1).max() <= control.max_speed * (1.0 + 1e-15)
+
+
+def test_seconds_are_accounted_for() -> None:
+    seconds = solved(0.02, SMALL, herd(4, 2)).report.seconds
+    assert set(seconds) == {'coarse', 'fine', 'extraction', 'total'}
+    parts = seconds['coarse'] + seconds['fine'] + seconds['extraction']
+    assert 0.5 * seconds['total'] < parts <= seconds['total']
+
+
+@pytest.mark.parametrize(('n', 'm'), [(1, 1), (8, 1), (1, 3)])
+def test_any_herd_can_be_planned_for(n: int, m: int) -> None:
+    window = solved(0.02, SMALL, herd(n, m))
+    assert window.plan.u.shape == (100, m, 2)
+    assert window.report.mapping_error_after <= window.report.mapping_error_before
+
+
+def test_solve_goes_on_from_the_last_plan() -> None:
+    planner = RecedingHorizon(Crowd(), without_mapping(SMALL), GOAL)
+    state = herd(9, 3)
+    first = planner.solve(state, 0.0).report
+    again = planner.solve(state, 0.0).report
+    assert again.objective <= first.objective
+    assert again.optimiser_calls < first.optimiser_calls
+
+
+@pytest.mark.parametrize('sheep_before', [10, 9, 17])
+def test_after_a_restart_nothing_is_left_of_the_last_herd(sheep_before: int) -> None:
+    planner = RecedingHorizon(Crowd(noise=0.03), SMALL, GOAL, 1)
+    planner.solve(herd(sheep_before, 2, seed=3), 0.0)
+    planner.restart()
+    found = planner.solve(herd(10, 2), 0.0).plan.u
+    np.testing.assert_array_equal(found, solved(0.03, SMALL, herd(10, 2), 1).plan.u)
+
+
+def test_goal_moves_from_the_next_solve_on() -> None:
+    planner = RecedingHorizon(Crowd(), without_mapping(SMALL), GOAL)
+    state = herd(9, 3)
+    planner.solve(state, 0.0)
+    planner.move_goal(-GOAL)
+    planner.restart()
+    found = planner.solve(state, 0.0).plan.u
+    fresh = RecedingHorizon(Crowd(), without_mapping(SMALL), -GOAL).solve(state, 0.0).plan.u
+    np.testing.assert_array_equal(found, fresh)
+    assert np.abs(fresh - solved(0.01, without_mapping(SMALL), state).plan.u).max() > 0.01
+
+
+@pytest.mark.parametrize('goal', [[0.5], [0.5, np.nan], [0.5, 0.5, 0.0], 'there'])
+def test_bad_goals_are_refused(goal: object) -> None:
+    with pytest.raises(ValueError, match=r'^goal '):
+        RecedingHorizon(Crowd(), Control(), goal)
+    planner = RecedingHorizon(Crowd(), Control(), GOAL)
+    with pytest.raises(ValueError, match=r'^goal '):
+        planner.move_goal(goal)
+    np.testing.assert_array_equal(planner.goal, GOAL)

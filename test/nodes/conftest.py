@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import itertools
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+LIMIT = 60.0
+"""No condition is waited for any longer [s]."""
+
+_domains = itertools.cycle(range(30, 60))
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> int:
+    """Return a ROS domain that no other test uses, on this machine alone."""
+    number = next(_domains)
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    return number
+
+
+class Process:
+    """A program of ours as a process of its own, its output in a file."""
+
+    def __init__(self, module: str, arguments: list[str], log: Path) -> None:
+        self._log = log
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', module, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=log.open('wb'),
+            stderr=subprocess.STDOUT,
+        )
+
+    @property
+    def log(self) -> str:
+        return self._log.read_text(errors='replace')
+
+    def end(self, number: int = signal.SIGINT) -> int:
+        """Send a signal and return the exit code."""
+        self.process.send_signal(number)
+        return self.wait()
+
+    def wait(self) -> int:
+        return self.process.wait(LIMIT)
+
+    def wait_for(self, text: str) -> None:
+        end = time.monotonic() + LIMIT
+        while text not in self.log:
+            assert time.monotonic() < end, f'waited for {text!r}, got:\n{self.log}'
+            time.sleep(0.02)
+
+
+@pytest.fixture
+def start(tmp_path: Path, domain: int) -> Iterator[Callable[..., Process]]:
+    """Return a function that starts a program, a node with its parameters; ended afterwards."""
+    started: list[Process] = []
+
+    def start_one(name: str, *arguments: str, **parameters: Any) -> Process:
+        words = list(arguments)
+        if parameters:
+            words.append('--ros-args')
+        for key, value in parameters.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            words += ['-p', f'{key.replace("__", ".")}:={text}']
+        log = tmp_path / f'{name}_{len(started)}.log'
+        started.append(Process(f'herding_ros.nodes.{name}', words, log))
+        return started[-1]
+
+    yield start_one
+    for process in started:
+        if process.process.poll() is None:
+            process.process.terminate()
+            try:
+                process.process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.process.kill()
+                process.process.wait()
+
+
+class Peer:
+    """A node of the test's own, to talk with the processes."""
+
+    def __init__(self, domain: int) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.node = rclpy.create_node('peer', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+    def listen(self, kind: Any, topic: str, qos: Any = 1000) -> list[Any]:
+        """Return the list that the messages of a topic are going to be in."""
+        received: list[Any] = []
+        self.node.create_subscription(kind, topic, received.append, qos)
+        return received
+
+    def spin_until(self, condition: Callable[[], object], limit: float = LIMIT) -> None:
+        end = time.monotonic() + limit
+        while not condition():
+            assert time.monotonic() < end, 'waited too long'
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def spin_for(self, seconds: float) -> None:
+        """Spin for a time in which something shall not happen."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def talk_to(self, kind: Any, topic: str, listeners: int = 1) -> Any:
+        """Return a publisher that is heard."""
+        publisher = self.node.create_publisher(kind, topic, 1000)
+        self.spin_until(lambda: publisher.get_subscription_count() >= listeners)
+        return publisher
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        client = self.node.create_client(kind, service)
+        self.spin_until(client.service_is_ready)
+        future = client.call_async(request)
+        self.spin_until(future.done)
+        return future.result()
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+
+@pytest.fixture
+def peer(domain: int) -> Iterator[Peer]:
+    one = Peer(domain)
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def environment(domain: int) -> dict[str, str]:
+    return dict(os.environ)

@@ -1,0 +1,221 @@
+"""The controller as a process, with the test in the sim's place: it needs no sim of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+import signal
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry, Path
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import PointCloud2
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from herding_ros.control.parameters import Control, Horizon, Mapping
+from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.model.parameters import Crowd
+from herding_ros.model.state import HerdState
+from herding_ros.nodes import messages
+
+QUICK = {'horizon__length': 4.0, 'horizon__accepted': 2.0, 'mapping__paths': 20}
+CONTROL = Control(horizon=Horizon(length=4.0, accepted=2.0), mapping=Mapping(paths=20))
+
+
+class Pasture:
+    """Publishes a herd that stands still and hears what its dogs are told."""
+
+    def __init__(self, peer: Any, herd: HerdState, kind: Any = TwistStamped) -> None:
+        self.peer = peer
+        self.herd = herd
+        self.heading = 0.0
+        dogs = range(1, len(herd.d) + 1)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.commands = [peer.listen(kind, f'dog_{m}/cmd_vel') for m in dogs]
+        self.plans = peer.listen(MultiDOFJointTrajectory, 'plan', latched)
+        self.diagnostics = peer.listen(DiagnosticArray, '/diagnostics')
+        self.sheep = peer.talk_to(PointCloud2, 'sheep')
+        self.odometry = [peer.talk_to(Odometry, f'dog_{m}/odom') for m in dogs]
+
+    def show(self, ns: int, cloud: PointCloud2 | None = None) -> None:
+        for m, publisher in enumerate(self.odometry):
+            message = messages.odometry(self.herd.d[m], np.zeros(2), m + 1, ns, 'map')
+            message.pose.pose.orientation.z = math.sin(self.heading / 2)
+            message.pose.pose.orientation.w = math.cos(self.heading / 2)
+            publisher.publish(message)
+        self.sheep.publish(cloud or messages.cloud(self.herd.x, self.herd.v, ns, 'map'))
+
+    def answered(self, count: int) -> None:
+        self.peer.spin_until(lambda: min(len(heard) for heard in self.commands) >= count)
+
+    def now(self) -> int:
+        return int(self.peer.node.get_clock().now().nanoseconds)
+
+
+@pytest.fixture
+def herd() -> HerdState:
+    rng = np.random.default_rng(3)
+    x = rng.uniform(-0.3, 0.3, (6, 2)).astype(np.float32)
+    return HerdState(x, np.zeros((6, 2)), np.array([[-0.6, -0.5], [-0.4, -0.7]]))
+
+
+def test_lockstep_answers_with_the_plan_of_the_core(
+    start: Callable[..., Any], peer: Any, herd: HerdState
+) -> None:
+    start('controller', lockstep=True, dogs=2, seed=7, goal='[1.0, 0.0]', **QUICK)
+    pasture = Pasture(peer, herd)
+    planner = RecedingHorizon(Crowd(), CONTROL, np.array([1.0, 0.0]), seed=7)
+    planner.solve(herd, 0.0)
+    assert planner.plan is not None
+    for k in range(20):
+        pasture.show(k * 100_000_000)
+        pasture.answered(k + 1)
+        for m, heard in enumerate(pasture.commands):
+            assert messages.nanoseconds(heard[k].header.stamp) == k * 100_000_000
+            assert np.array_equal(
+                messages.velocity_in(heard[k].twist), planner.plan.at(k * 0.1)[m]
+            )
+    peer.spin_until(lambda: pasture.plans)
+    assert len(pasture.plans) == 1
+    pasture.show(2_000_000_000)  # the accepted half is over
+    peer.spin_until(lambda: len(pasture.plans) == 2)
+
+
+def test_commands_are_in_the_dogs_own_frame(
+    start: Callable[..., Any], peer: Any, herd: HerdState
+) -> None:
+    start('controller', lockstep=True, dogs=2, **QUICK)
+    pasture = Pasture(peer, herd)
+    pasture.show(0)
+    pasture.answered(1)
+    pasture.heading = math.pi / 2
+    pasture.show(1)
+    pasture.answered(2)
+    for heard in pasture.commands:
+        ahead, turned = (messages.velocity_in(message.twist) for message in heard[:2])
+        assert np.linalg.norm(ahead) > 0.01
+        assert np.linalg.norm(ahead) <= 0.05 * (1 + 1e-12)
+        assert turned == pytest.approx(np.array([ahead[1], -ahead[0]]), abs=1e-15)
+
+
+def test_bad_observations_get_no_answer(
+    start: Callable[..., Any], peer: Any, herd: HerdState
+) -> None:
+    process = start('controller', lockstep=True, dogs=2, **QUICK)
+    pasture = Pasture(peer, herd)
+    nan = herd.x.copy()
+    nan[2, 1] = math.nan
+    pasture.show(0, messages.cloud(nan, herd.v, 0, 'map'))
+    pasture.show(0, messages.cloud(herd.x, herd.v, 0, 'odom'))
+    pasture.show(0, PointCloud2())
+    peer.spin_until(lambda: 'refused a message (sheep)' in process.log)
+    peer.spin_for(0.3)
+    assert not pasture.commands[0]
+    pasture.show(100_000_000)
+    pasture.answered(1)
+    peer.spin_until(lambda: pasture.diagnostics)
+    pairs = {pair.key: pair.value for pair in pasture.diagnostics[-1].status[0].values}
+    assert pairs['refused sheep'] == '3'
+    assert process.log.count('refused') == 1
+
+
+def test_new_goal_is_planned_for_at_once(
+    start: Callable[..., Any], peer: Any, herd: HerdState
+) -> None:
+    process = start('controller', lockstep=True, dogs=2, goal='[1.0, 0.0]', **QUICK)
+    pasture = Pasture(peer, herd)
+    paths = peer.listen(Path, 'herd/path')
+    goals = peer.talk_to(PoseStamped, 'goal_pose')
+    pasture.show(0)
+    pasture.answered(1)
+    goal = PoseStamped()
+    goal.header.frame_id = 'map'
+    goal.pose.position.x = -1.0
+    goals.publish(goal)
+    peer.spin_until(lambda: 'destination is now (-1, 0)' in process.log)
+    pasture.show(100_000_000)
+    pasture.answered(2)
+    peer.spin_until(lambda: len(paths) == 2)
+    assert messages.nanoseconds(paths[1].poses[0].header.stamp) == 100_000_000
+    planner = RecedingHorizon(Crowd(), CONTROL, np.array([1.0, 0.0]))
+    planner.solve(herd, 0.0)
+    assert planner.plan is not None
+    old = planner.plan.at(0.1)
+    planner.move_goal(np.array([-1.0, 0.0]))
+    planner.solve(herd, 0.1)
+    new = np.array([messages.velocity_in(heard[1].twist) for heard in pasture.commands])
+    assert np.array_equal(new, planner.plan.at(0.1))
+    assert not np.array_equal(new, old)
+
+
+def test_plan_is_there_for_latecomers(
+    start: Callable[..., Any], peer: Any, herd: HerdState
+) -> None:
+    start('controller', lockstep=True, dogs=2, **QUICK)
+    pasture = Pasture(peer, herd)
+    pasture.show(0)
+    pasture.answered(1)
+    peer.spin_until(lambda: pasture.plans)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    late = peer.listen(MultiDOFJointTrajectory, 'plan', latched)
+    peer.spin_until(lambda: late)
+    assert len(late[0].points) == 40
+
+
+def test_solving_does_not_hold_up_the_commands(
+    start: Callable[..., Any], peer: Any, herd: HerdState
+) -> None:
+    """While a long solve runs in the background, commands of the old plan keep coming."""
+    start('controller', dogs=2, lead=1.0, mapping__paths=4000, mapping__accuracy=1e-9)
+    pasture = Pasture(peer, herd)
+    goals = peer.talk_to(PoseStamped, 'goal_pose')
+    peer.node.create_timer(0.05, lambda: pasture.show(pasture.now()))
+    pasture.answered(5)
+    peer.spin_until(lambda: len(pasture.plans) == 1)
+    goal = PoseStamped()
+    goal.header.frame_id = 'map'
+    goal.pose.position.x = -1.0
+    goals.publish(goal)
+    before = len(pasture.commands[0])
+    peer.spin_until(lambda: len(pasture.plans) == 2)
+    stamps = np.array(
+        [messages.nanoseconds(message.header.stamp) for message in pasture.commands[0][before:]]
+    )
+    pairs = {pair.key: pair.value for pair in pasture.diagnostics[-1].status[0].values}
+    assert float(pairs['solve_ms']) > 500.0
+    assert len(stamps) >= 5
+    assert np.diff(stamps).max() * 1e-6 < 0.7 * float(pairs['solve_ms'])
+
+
+def test_dogs_stop_when_the_sheep_are_out_of_sight(
+    start: Callable[..., Any], peer: Any, herd: HerdState
+) -> None:
+    start('controller', dogs=2, lead=0.5, state_timeout=0.5, stamped=False, **QUICK)
+    pasture = Pasture(peer, herd, Twist)
+    timer = peer.node.create_timer(0.05, lambda: pasture.show(pasture.now()))
+    peer.spin_until(
+        lambda: pasture.commands[0] and messages.velocity_in(pasture.commands[0][-1]).any()
+    )
+    timer.cancel()
+    peer.spin_until(lambda: not messages.velocity_in(pasture.commands[0][-1]).any(), limit=10.0)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_ends_cleanly_at_a_signal(
+    start: Callable[..., Any], peer: Any, herd: HerdState, number: int
+) -> None:
+    process = start('controller', lockstep=True, dogs=2, **QUICK)
+    Pasture(peer, herd)
+    assert process.end(number) == 0
+    assert 'Traceback' not in process.log
+
+
+def test_impossible_parameters_are_refused_with_a_reason(start: Callable[..., Any]) -> None:
+    process = start('controller', horizon__accepted=30.0)
+    assert process.wait() == 2
+    assert 'accepted' in process.log
+    assert 'Traceback' not in process.log

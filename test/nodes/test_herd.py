@@ -1,0 +1,169 @@
+"""The whole system: three processes, real DDS, a bag, against the same loop without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import json
+from pathlib import Path
+import re
+import signal
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import get_typestore, Stores
+
+from herding_ros.control.closed_loop import closed_loop
+from herding_ros.control.parameters import Control
+from herding_ros.model.flock import arrived, spread
+from herding_ros.model.parameters import Crowd
+from herding_ros.model.simulation import World
+
+SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
+OPTIONS = ['--sheep', '10', '--dogs', '3', '--seed', '2', '--goal', '0.4', '0.2']
+
+
+def read(bag: Path) -> dict[str, list[Any]]:
+    """Every message of a bag by topic, read by somebody else's reader."""
+    out: dict[str, list[Any]] = {}
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        for connection in reader.connections:
+            out[connection.topic] = []
+        for connection, _, raw in reader.messages():
+            out[connection.topic].append(reader.deserialize(raw, connection.msgtype))
+        assert {t: info.msgcount for t, info in reader.topics.items()} == {
+            t: len(found) for t, found in out.items()
+        }
+    return out
+
+
+def positions(cloud: Any) -> np.ndarray:
+    """What a point cloud says of x and y, by its own field table."""
+    offsets = {field.name: field.offset for field in cloud.fields}
+    rows = cloud.data.reshape(-1, cloud.point_step)
+    columns = [rows[:, offsets[name] : offsets[name] + 4].copy() for name in ('x', 'y')]
+    return np.concatenate([column.view('<f4') for column in columns], axis=1)
+
+
+def published(log: Path) -> dict[str, int]:
+    """What a node said it had published."""
+    return {topic: int(n) for n, topic in re.findall(r'(\d+) on (/[\w/]+)', log.read_text())}
+
+
+def test_lockstep_is_the_loop_without_ros_bit_for_bit_and_twice(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
+    expected = closed_loop(
+        Crowd(), World(sheep=SHEEP, dogs=DOGS, seed=SEED), Control(), np.array(GOAL), 400.0
+    )
+    assert expected.arrived
+    clouds = []
+    for name in ('one', 'two'):
+        out = tmp_path / name
+        assert start('herd', *OPTIONS, '--out', str(out)).wait() == 0
+        messages = read(out / 'bag')
+        clouds.append([bytes(cloud.data) for cloud in messages['/truth/sheep']])
+
+        x = np.array([positions(cloud) for cloud in messages['/truth/sheep']])
+        assert np.array_equal(x, expected.x.astype(np.float32))
+        places = [message.pose.pose.position for message in messages['/truth/dog_2/odom']]
+        assert np.array_equal([[p.x, p.y] for p in places], expected.d[:, 1])
+        # The sim stands still at the goal, so the answer to the last state is not played.
+        orders = [message.twist.linear for message in messages['/dog_3/cmd_vel']]
+        assert np.array_equal([[o.x, o.y] for o in orders[: len(expected.u)]], expected.u[:, 2])
+
+        for node in ('sim', 'controller'):
+            counts = published(out / 'log' / f'{node}.log')
+            assert counts
+            assert '/diagnostics' in counts
+            del counts['/diagnostics']  # is shared by the nodes
+            assert counts == {topic: len(messages[topic]) for topic in counts}
+
+        summary = json.loads((out / 'summary.json').read_text())
+        assert summary['arrived'] is True
+        assert summary['time_s'] == pytest.approx(expected.t[-1])
+        assert summary['seed'] == SEED
+        assert summary['replans'] == len(expected.reports)
+        assert summary['messages_recorded'] == sum(len(found) for found in messages.values())
+        assert summary['max_spread_m'] == pytest.approx(spread(expected.x).max(), rel=1e-6)
+        assert arrived(x[-1].astype(float), np.array(GOAL), float(spread(x[0].astype(float))))
+        assert (out / 'trajectories.png').read_bytes().startswith(b'\x89PNG')
+    assert clouds[0] == clouds[1]
+
+
+def test_real_time_arrives_too(start: Callable[..., Any], tmp_path: Path) -> None:
+    process = start('herd', *OPTIONS, '--real-time', '10', '--out', str(tmp_path / 'out'))
+    assert process.wait() == 0, process.log
+    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    assert summary['real_time_factor'] <= 10.5
+
+
+def test_time_out_has_its_exit_code_and_a_bag(start: Callable[..., Any], tmp_path: Path) -> None:
+    process = start('herd', *OPTIONS, '--time-limit', '1.5', '--out', str(tmp_path / 'out'))
+    assert process.wait() == 1
+    messages = read(tmp_path / 'out' / 'bag')
+    assert len(messages['/truth/sheep']) == 16
+    assert json.loads((tmp_path / 'out' / 'summary.json').read_text())['arrived'] is False
+
+
+@pytest.mark.parametrize(
+    'arguments',
+    [
+        ['--sheep', '0'],
+        ['--dogs', 'two'],
+        ['--sigma', 'nan'],
+        ['--goal', '1'],
+        ['--goal', 'inf', '0'],
+        ['--seed', '-1'],
+        ['--time-limit', '0'],
+        ['--real-time', '-3'],
+        ['--nonsense'],
+    ],
+)
+def test_bad_arguments_are_refused(
+    start: Callable[..., Any], arguments: list[str], tmp_path: Path
+) -> None:
+    process = start('herd', *arguments, '--out', str(tmp_path / 'out'))
+    assert process.wait() == 2
+    assert arguments[0] in process.log
+    assert not (tmp_path / 'out').exists()
+
+
+def test_existing_bag_is_not_touched(start: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag' / 'precious').write_text('data')
+    assert start('herd', '--out', str(tmp_path)).wait() == 2
+    assert [path.name for path in (tmp_path / 'bag').iterdir()] == ['precious']
+
+
+@pytest.mark.parametrize(('number', 'code'), [(signal.SIGINT, 130), (signal.SIGTERM, 130)])
+def test_interrupt_ends_all_children_and_leaves_a_valid_bag(
+    start: Callable[..., Any], tmp_path: Path, number: int, code: int
+) -> None:
+    out = tmp_path / 'out'
+    process = start('herd', '--real-time', '2', '--out', str(out))
+    process.wait_for('to go')
+    children = psutil.Process(process.process.pid).children()
+    assert len(children) == 3
+    assert process.end(number) == code
+    assert psutil.wait_procs(children, timeout=5.0)[1] == []
+    messages = read(out / 'bag')
+    assert len(messages['/truth/sheep']) > 0
+    assert published(out / 'log' / 'sim.log')['/truth/sheep'] == len(messages['/truth/sheep'])
+
+
+def test_dead_child_is_named_with_its_last_words(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
+    process = start('herd', '--real-time', '2', '--out', str(tmp_path / 'out'))
+    process.wait_for('to go')
+    children = psutil.Process(process.process.pid).children()
+    controller = next(c for c in children if 'herding_ros.nodes.controller' in c.cmdline())
+    controller.kill()
+    assert process.wait() == 3
+    assert 'controller died (exit code -9)' in process.log
+    assert 'ready to herd' in process.log
+    assert psutil.wait_procs(children, timeout=5.0)[1] == []
+    assert len(read(tmp_path / 'out' / 'bag')['/truth/sheep']) > 0

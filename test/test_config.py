@@ -1,0 +1,151 @@
+"""Every parameter file is one that the nodes accept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import dataclasses
+from pathlib import Path
+import re
+from typing import Any
+
+import pytest
+import yaml
+
+from herding_ros.control.parameters import Control, PAPER
+from herding_ros.model.parameters import Crowd, CROWDS, Parameters
+from herding_ros.model.simulation import World
+from herding_ros.nodes.controller import ControllerSettings
+from herding_ros.nodes.sim import SimSettings
+
+CONFIG = Path(__file__).resolve().parents[1] / 'config'
+FILES = sorted(CONFIG.glob('*.yaml'))
+OF_EVERY_NODE = {'use_sim_time': False}
+QOS = re.compile(
+    r'qos_overrides\./[\w/]+\.(publisher|subscription)\.(reliability|depth|history|durability)'
+)
+
+
+def flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the dotted names and the values of nested parameters, as ROS does."""
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from flat(value, f'{prefix}{key}.')
+        else:
+            yield prefix + key, value
+
+
+def defaults(parameters: Parameters, prefix: str = '') -> Iterator[tuple[str, Any]]:
+    for field in dataclasses.fields(parameters):
+        value = getattr(parameters, field.name)
+        if isinstance(value, Parameters):
+            yield from defaults(value, f'{prefix}{field.name}.')
+        else:
+            yield prefix + field.name, value
+
+
+def with_values(parameters: Any, values: dict[str, Any], prefix: str = '') -> Any:
+    """Return a dataclass with the values of its dotted names; it validates them."""
+    changes = {}
+    for field in dataclasses.fields(parameters):
+        value, name = getattr(parameters, field.name), prefix + field.name
+        if isinstance(value, Parameters):
+            changes[field.name] = with_values(value, values, f'{name}.')
+        elif name in values:
+            changes[field.name] = values[name]
+    return dataclasses.replace(parameters, **changes)
+
+
+CROWD = dict([('crowd.preset', 'cohesive'), *defaults(Crowd(), 'crowd.')])
+NODES: dict[str, dict[str, Any]] = {
+    'sim': {**CROWD, **dict(defaults(World())), **dict(defaults(SimSettings()))},
+    'controller': {**CROWD, **dict(defaults(Control())), **dict(defaults(ControllerSettings()))},
+    'recorder': {'bag': '', 'topics': ['']},
+}
+
+
+def sections(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the flat parameters of each section of a file."""
+    content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    for name, section in content.items():
+        assert list(section) == ['ros__parameters'], f'{path.name}: {name} lacks ros__parameters'
+    return {name: dict(flat(section['ros__parameters'])) for name, section in content.items()}
+
+
+def values_for(path: Path, node: str) -> dict[str, Any]:
+    """Return what a node takes of a file: its own section over the common one."""
+    content = sections(path)
+    return {**content.get('/**', {}), **content.get(node, {})}
+
+
+def is_of_type(value: Any, default: Any) -> bool:
+    """Whether ROS takes value for a parameter of this default: 1 is no double."""
+    if isinstance(default, tuple):
+        return isinstance(value, list) and all(type(each) is float for each in value)
+    return type(value) is type(default)
+
+
+def test_there_are_files() -> None:
+    assert {path.name for path in FILES} >= {'herding.yaml', 'paper.yaml', 'real_dogs.yaml'}
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
+def test_every_name_and_type_is_one_that_a_node_declares(path: Path) -> None:
+    for section, values in sections(path).items():
+        assert section in {'/**', *NODES}, f'{path.name} has a section {section}'
+        nodes = list(NODES.values()) if section == '/**' else [NODES[section]]
+        for name, value in values.items():
+            if QOS.fullmatch(name):
+                continue
+            declared = [{**OF_EVERY_NODE, **node} for node in nodes]
+            takers = [node[name] for node in declared if name in node]
+            assert takers, f'{path.name}: {section} has {name}, which nobody declares'
+            for default in takers:
+                assert is_of_type(value, default), (
+                    f'{path.name}: {section} has {name}: {value!r}, '
+                    f'allowed is a {type(default).__name__} such as {default!r}'
+                )
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
+def test_the_values_are_allowed(path: Path) -> None:
+    sim, controller = values_for(path, 'sim'), values_for(path, 'controller')
+    with_values(SimSettings(), sim)
+    with_values(World(), sim)
+    with_values(ControllerSettings(), controller)
+    with_values(Control(), controller)
+    for values in (sim, controller):
+        with_values(CROWDS[values.get('crowd.preset', 'cohesive')], values, 'crowd.')
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
+def test_sim_and_controller_are_told_the_same(path: Path) -> None:
+    """What both of them declare stands under /** if both are in the file."""
+    content = sections(path)
+    if 'sim' not in content:
+        return
+    shared = set(NODES['sim']) & set(NODES['controller'])
+    assert not shared & (set(content['sim']) | set(content.get('controller', {})))
+
+
+def test_the_paper_s_setting_is_that_of_the_code() -> None:
+    values = values_for(CONFIG / 'paper.yaml', 'controller')
+    assert with_values(Control(), values) == PAPER
+    crowd = with_values(CROWDS[values['crowd.preset']], values, 'crowd.')
+    assert crowd == CROWDS['cohesive']
+
+
+def test_a_file_that_says_the_paper_s_values_does_not_lean_on_defaults() -> None:
+    """Each value in which the paper's setting differs from the default is written out."""
+    written = values_for(CONFIG / 'paper.yaml', 'controller')
+    usual, paper = dict(defaults(Control())), dict(defaults(PAPER))
+    assert {name for name in paper if paper[name] != usual[name]} <= set(written)
+
+
+def test_the_reference_run_is_that_of_the_defaults() -> None:
+    path = CONFIG / 'herding.yaml'
+    sim, controller = values_for(path, 'sim'), values_for(path, 'controller')
+    assert with_values(World(), sim) == World()
+    assert with_values(Control(), controller) == Control()
+    assert with_values(Crowd(), sim, 'crowd.') == Crowd()
+    judged_at = with_values(SimSettings(), sim).goal
+    assert judged_at == with_values(ControllerSettings(), controller).goal == SimSettings().goal
