@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from herding_ros.model import kernels
 from herding_ros.model.state import Array, Trajectory
 
 
@@ -34,18 +35,16 @@ class Objective:
 
         interval [s] is the time for which each u (intervals, M, 2) [m/s] is held.
         """
-        n, dt = trajectory.n, trajectory.dt
-        x = trajectory.xs[:, :, :n]
-        centre = x.mean(axis=2, keepdims=True)
-        error = centre - self.reference[:, :, None]
-        offset = x - centre
-        error[0] = offset[0] = 0.0
-        change = u - self.control_reference
-        value = (
-            0.5 * dt * self.centre_weight * np.vdot(error, error)
-            + 0.5 * dt * self.spread_weight / n * np.vdot(offset, offset)
-            + 0.5 * interval * self.control_weight * np.vdot(change, change)
+        source = np.empty_like(trajectory.xs)
+        tracking = kernels.tracking_cost(
+            trajectory.xs,
+            self.reference,
+            trajectory.n,
+            self.centre_weight,
+            self.spread_weight,
+            trajectory.dt,
+            source,
         )
-        source = np.zeros_like(trajectory.xs)
-        source[:, :, :n] = (dt / n) * (self.centre_weight * error + self.spread_weight * offset)
-        return float(value), source
+        change = u - self.control_reference
+        effort = 0.5 * interval * self.control_weight * float(np.vdot(change, change))
+        return tracking + effort, source

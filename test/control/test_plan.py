@@ -43,6 +43,13 @@ def test_stamps_read_as_seconds_and_nanoseconds_agree(start: int) -> None:
         assert plan.index(whole + rest * 1e-9) == k
 
 
+@pytest.mark.parametrize('rate', [3, 30, 60, 144])
+def test_periods_of_no_whole_nanoseconds_are_rounded_to_stamps(rate: int) -> None:
+    plan = Plan(seconds(STARTS[1]), 1.0 / rate, np.zeros((INTERVALS, 1, 2)))
+    stamps = [STARTS[1] + round(k * 1e9 / rate) for k in range(INTERVALS)]
+    assert [plan.index(seconds(stamp)) for stamp in stamps] == list(range(INTERVALS))
+
+
 @starts
 def test_commands_are_those_of_the_interval_and_zero_outside(start: int) -> None:
     plan = plan_from(start)
