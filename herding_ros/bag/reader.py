@@ -191,9 +191,7 @@ def _replan(time: float, number: int, values: dict[str, str]) -> Replan:
     )
 
 
-def _wall_seconds(
-    reader: AnyReader, topic: str, folder: Path, metadata: dict[str, Any]
-) -> float:
+def _wall_seconds(reader: AnyReader, topic: str, folder: Path, metadata: dict[str, Any]) -> float:
     """Return the time from the first message of a topic to the last.
 
     Bags in mcap keep when a message was published; the log time may be a simulation's.

@@ -47,9 +47,7 @@ class BagWriter:
         self._custom_data = dict(custom_data or {})
         self._file = FileInformation(f'{self.path.name}_0.mcap')
         self._stream = open(self.path / self._file.path, 'xb')  # noqa: SIM115, closed in close()
-        self._mcap = Writer(
-            self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE
-        )
+        self._mcap = Writer(self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
         self._mcap.start(profile='ros2', library='herding_ros')
         self._schemas: dict[str, int] = {}  # message type -> id in the file
         self._channels: dict[str, int] = {}  # topic -> id in the file

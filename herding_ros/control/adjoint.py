@@ -40,7 +40,7 @@ class CoarseModel:
 
     def inner(self, a: Array, b: Array) -> float:
         """L2(0, T) inner product of two controls."""
-        return self.interval * float(np.vdot(a, b))
+        return self.interval * float((a * b).sum())
 
     def value_and_gradient(self, objective: Objective, u: Array) -> tuple[float, Array]:
         """Return the reduced cost at u and its gradient in L2(0, T), same shape as u.
@@ -109,8 +109,12 @@ class CentreSensitivity:
 
     def times(self, du: Array) -> Array:
         """Return the change of the residuals under a change du of the control."""
-        return self.matrix @ du.ravel()
+        out = np.empty(len(self.matrix))
+        kernels.times(self.matrix, np.ascontiguousarray(du).ravel(), out)
+        return out
 
     def transposed(self, e: Array) -> Array:
         """Return the adjoint of `times` in L2(0, T)."""
-        return (e @ self.matrix).reshape(self.shape) / self.interval
+        out = np.empty(self.matrix.shape[1])
+        kernels.transposed_times(self.matrix, e, out)
+        return out.reshape(self.shape) / self.interval

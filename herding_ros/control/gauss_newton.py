@@ -77,4 +77,4 @@ def gauss_newton(
 
 
 def _value(r: Array, u: Array, anchor: Array, weight: float, inner: InnerProduct) -> float:
-    return 0.5 * float(np.vdot(r, r)) + 0.5 * weight * inner(u - anchor, u - anchor)
+    return 0.5 * float(np.square(r).sum()) + 0.5 * weight * inner(u - anchor, u - anchor)

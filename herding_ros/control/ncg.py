@@ -33,6 +33,8 @@ def ncg(
     size = 1.0
     status = Status.ITERATION_LIMIT
     iterations = 0
+    if inner(gradient, gradient) == 0.0:
+        return Solution(u, value, 0.0, Status.CONVERGED, iterations, calls)
     while iterations < max_iterations:
         for _ in range(_BACKTRACKS):
             trial = project(u + size * direction)

@@ -46,5 +46,5 @@ class Objective:
             source,
         )
         change = u - self.control_reference
-        effort = 0.5 * interval * self.control_weight * float(np.vdot(change, change))
+        effort = 0.5 * interval * self.control_weight * float(np.square(change).sum())
         return tracking + effort, source

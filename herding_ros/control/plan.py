@@ -8,6 +8,12 @@ import numpy as np
 
 from herding_ros.model.state import Array, finite
 
+_SLACK = 1e-6
+"""An instant this little before an interval counts as its start [s].
+
+Seconds since 1970 in double precision are exact to 2.4e-7 s.
+"""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -31,8 +37,7 @@ class Plan:
 
     def index(self, t: float) -> int:
         """Return the number of the interval that holds t [s]; negative before the start."""
-        # Stamps are multiples of a nanosecond: a start of an interval may be off by that.
-        return int(np.floor((t - self.t0 + 1e-9) / self.dt + 1e-9))
+        return int(np.floor((t - self.t0 + _SLACK) / self.dt))
 
     def at(self, t: float) -> Array:
         """Velocities (M, 2) [m/s] at time t [s]; zero before the start and after the end."""

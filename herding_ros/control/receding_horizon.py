@@ -14,7 +14,6 @@ from herding_ros.model.admissible import project
 from herding_ros.model.dynamics import increments
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
-from herding_ros.model.kernels import lanes
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, finite, HerdState
 
@@ -109,6 +108,7 @@ class RecedingHorizon:
     seed: int = 0
     _last: Plan | None = field(default=None, init=False)
     _noise: Array | None = field(default=None, init=False)
+    _noise_sheep: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         """Check the goal."""
@@ -279,11 +279,11 @@ class RecedingHorizon:
         return result, calls
 
     def _common_noise(self, n: int, steps: int) -> Array:
-        paths, dt = self.control.mapping.paths, self.control.horizon.dt
-        shape = (paths, steps, 2, lanes(n))
-        if self._noise is None or self._noise.shape != shape:
+        if self._noise is None or self._noise_sheep != n:
             rng = np.random.default_rng(self.seed)
+            paths, dt = self.control.mapping.paths, self.control.horizon.dt
             self._noise = increments(rng, self.crowd, n, dt, steps, paths)
+            self._noise_sheep = n
         return self._noise
 
 

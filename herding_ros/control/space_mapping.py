@@ -17,6 +17,7 @@ from herding_ros.model.state import Array
 from .solution import InnerProduct, Projection, Status
 
 _DAMPING_FACTOR = 10.0
+_SINGULAR = 1e-10
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,9 @@ class Broyden:
         inner = self._inner
         gram = np.array([[inner(s, c) for c in self._corrections] for s in self._steps])
         dual = np.array([inner(s, r) for s in self._steps])
-        weights = np.linalg.lstsq(np.eye(len(gram)) + gram, dual, rcond=None)[0]
+        left, scale, right = np.linalg.svd(np.eye(len(gram)) + gram)
+        inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > _SINGULAR)
+        weights = right.T @ (inverse * (left.T @ dual))
         return r - sum(w * c for w, c in zip(weights, self._corrections, strict=True))
 
 

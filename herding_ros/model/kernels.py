@@ -297,6 +297,38 @@ def tracking_cost(
 
 
 @_kernel
+def times(matrix: Array, x: Array, out: Array) -> None:
+    """Put matrix[m, n] x[n] in out[m].
+
+    NumPy would hand this to a BLAS whose rounding depends on the number of its threads.
+    """
+    for i in range(matrix.shape[0]):
+        out[i] = _dot(matrix[i], x)
+
+
+@_kernel
+def _dot(x: Array, y: Array) -> float:
+    total = 0.0
+    for i in range(x.shape[0]):
+        total += x[i] * y[i]
+    return total
+
+
+@_kernel
+def transposed_times(matrix: Array, y: Array, out: Array) -> None:
+    """Put y[m] matrix[m, n] in out[n]."""
+    out[:] = 0.0
+    for i in range(matrix.shape[0]):
+        _add_multiple(y[i], matrix[i], out)
+
+
+@_kernel
+def _add_multiple(factor: float, x: Array, out: Array) -> None:
+    for i in range(x.shape[0]):
+        out[i] += factor * x[i]
+
+
+@_kernel
 def _hessian_of_flock(
     xi: float,
     yi: float,

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import array
+from collections.abc import Sequence
 import dataclasses
 from dataclasses import dataclass
 import math
+from numbers import Real
 from typing import Any
+
+import numpy as np
 
 
 def quantity(
@@ -35,6 +40,11 @@ class Parameters:
                 value = getattr(self, field.name)
                 checked = check(f'{type(self).__name__}.{field.name}', value, field)
                 object.__setattr__(self, field.name, checked)
+            elif not isinstance(getattr(self, field.name), type(field.default)):
+                raise ValueError(
+                    f'{type(self).__name__}.{field.name} is {getattr(self, field.name)!r}, '
+                    f'allowed is a {type(field.default).__name__}'
+                )
 
 
 def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
@@ -47,14 +57,13 @@ def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
 
 def _convert(value: Any, like: Any) -> Any:
     """Return value with the type of `like`; None if that would change its meaning."""
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if isinstance(like, tuple):
-        try:
-            numbers = tuple(float(each) for each in value)
-        except (TypeError, ValueError):
+        if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray | array.array):
             return None
-        return numbers if len(numbers) == len(like) else None
+        parts = tuple(_convert(each, part) for each, part in zip(value, like, strict=False))
+        return parts if len(value) == len(like) and None not in parts else None
     if isinstance(like, float):
+        number = isinstance(value, Real) and not isinstance(value, bool)
         return float(value) if number else None
     return value if type(value) is type(like) else None
 

@@ -6,6 +6,9 @@ import numpy as np
 
 from .state import Array, HerdState
 
+GOAL = (0.5, 0.5)
+"""The destination, unless another is given [m]."""
+
 _PASTURE = 0.4
 """Sheep start uniformly in a square of twice this side around the origin [m]."""
 _DOG_RADIUS = 0.9

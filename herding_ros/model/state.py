@@ -19,7 +19,10 @@ def finite(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
         naming the array, what was given and what is allowed.
 
     """
-    array = np.array(value, dtype=np.float64)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'{name} is no array of numbers: {error}') from error
     wanted = tuple('any' if n is None else n for n in shape)
     if array.ndim != len(shape) or any(
         n is not None and n != m for n, m in zip(shape, array.shape, strict=True)

@@ -22,7 +22,9 @@ def warm_up() -> float:
     noise = increments(np.random.default_rng(0), crowd, 2, 0.01, 1, 1)
     trajectory = rollout(crowd, state, u, 0.01)
     expected_positions(crowd, state, u, 0.01, 1, noise)
-    source = np.empty_like(trajectory.xs)
+    source = np.zeros_like(trajectory.xs)
+    kernels.times(source[0], source[0, 0], source[0, :, 0].copy())
+    kernels.transposed_times(source[0], np.zeros(2), source[0, 0].copy())
     kernels.tracking_cost(trajectory.xs, np.zeros((2, 2)), 2, 1.0, 1.0, 1.0, source)
     kernels.adjoint(trajectory.xs, trajectory.ds, source, 1, physics(crowd, 2, 0.01), u.copy())
     return time.perf_counter() - started

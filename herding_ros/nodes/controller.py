@@ -27,6 +27,7 @@ from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.parameters import Parameters, quantity, TINY
+from herding_ros.model.scenario import GOAL
 from herding_ros.model.state import Array, HerdState
 from herding_ros.model.warmup import warm_up
 
@@ -42,7 +43,7 @@ class ControllerSettings(Parameters):
     """How the controller behaves as a ROS node."""
 
     dogs: int = quantity(5, 'number of dogs', low=1)
-    goal: tuple[float, float] = quantity((0.5, 0.5), 'destination; goal_pose moves it', 'm')
+    goal: tuple[float, float] = quantity(GOAL, 'destination; goal_pose moves it', 'm')
     seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
     frame: str = quantity('map', 'frame of all positions')
     lockstep: bool = quantity(
@@ -85,12 +86,11 @@ class Controller(Node):
         self._dogs = range(1, self._settings.dogs + 1)
         self._sheep: tuple[int, Array, Array] | None = None
         self._dog: dict[int, tuple[int, Array, float]] = {}
-        self._answered = -1
         self._goal_moved = False
         self._plans = 0
         # Not in lockstep: the plan that is played, and the one that is being made or waits.
         self._playing: Plan | None = None
-        self._coming: Future[Window] | None = None
+        self._coming: Future[tuple[Window, float]] | None = None
         self._coming_t0 = 0.0
         self._worker = ThreadPoolExecutor(1, 'planner')
         self._missed = 0
@@ -113,6 +113,15 @@ class Controller(Node):
 
     def _listen_when_heard(self) -> None:
         """Listen to observations only once nobody misses what they are answered with."""
+        if self._settings.lockstep and not all(
+            any(
+                is_heard(self, [commands], listener.node_name)
+                for listener in self.get_subscriptions_info_by_topic(commands.topic_name)
+                if listener.node_name != self._settings.wait_for
+            )
+            for commands in self._commands
+        ):
+            return
         everything = [*self._commands, self._plan, self._herd_path, *self._dog_paths]
         everything.append(self._diagnostics)
         if self._settings.wait_for and not is_heard(self, everything, self._settings.wait_for):
@@ -173,13 +182,14 @@ class Controller(Node):
         if not self._settings.lockstep or self._sheep is None:
             return
         ns = self._sheep[0]
-        complete = all(self._dog.get(m, (None,))[0] == ns for m in self._dogs)
-        if not complete or ns == self._answered:
-            return
-        self._answered = ns
         observed = self._observed()
-        assert observed is not None
+        if observed is None or any(dog[0] != ns for dog in self._dog.values()):
+            return
+        self._sheep = None  # each observation is answered once
+        self._dog.clear()
         t = ns * 1e-9
+        if self._planner.plan is not None and self._planner.plan.index(t) < 0:
+            self._planner.restart()  # time was set back: start anew
         if self._planner.due(t) or self._goal_moved:
             self._goal_moved = False
             self._announce(self._planner.solve(observed.state, t), ns, 0.0)
@@ -221,7 +231,12 @@ class Controller(Node):
         steps = max(round((start - observed.ns * 1e-9) / period), 0)
         state = self._predict(observed, steps)
         self._coming_t0 = start
-        self._coming = self._worker.submit(self._planner.solve, state, start)
+        self._coming = self._worker.submit(self._solve, state, start)
+
+    def _solve(self, state: HerdState, start: float) -> tuple[Window, float]:
+        """Return the window and how long before its start it was ready [s]; in the background."""
+        window = self._planner.solve(state, start)
+        return window, start - self.get_clock().now().nanoseconds * 1e-9
 
     def _predict(self, observed: Observed, periods: int) -> HerdState:
         """Return the state some control periods after an observation, without noise."""
@@ -239,11 +254,9 @@ class Controller(Node):
         """Play the coming plan from the start of its window on; count it when it is late."""
         if self._coming is None or not self._coming.done() or t < self._coming_t0 - 1e-9:
             return
-        window = self._coming.result()
+        window, margin = self._coming.result()
         self._coming = None
-        margin = self._coming_t0 - t
-        late = margin < -0.5 * self._control.horizon.control_period
-        if late and self._playing is not None:
+        if margin < 0.0 and self._playing is not None:
             self._missed += 1
             self.get_logger().warning(
                 f'a plan was late by {-margin:.2f} s, the old one was played on; '

@@ -10,6 +10,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -21,6 +22,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from herding_ros.model.scenario import GOAL
 from herding_ros.report.cli import write_report
 
 _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED, _INTERRUPTED = 0, 1, 2, 3, 130
@@ -77,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     add('--dogs', type=_count, default=5, metavar='M', help='number of dogs (5)')
     add('--sigma', type=_not_negative, default=0.01, help='noise of the sheep (0.01)')
     add(
-        '--goal', type=_finite, nargs=2, default=(0.5, 0.5), metavar=('X', 'Y'),
+        '--goal', type=_finite, nargs=2, default=GOAL, metavar=('X', 'Y'),
         help='destination in metres (0.5 0.5); the flock starts around the origin',
     )  # fmt: skip
     add('--seed', type=_seed, default=0, help='same seed, same run (0)')
@@ -190,7 +192,7 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     if not lockstep:
         sim['real_time_factor'] = options.real_time
         # A solve takes wall time: the faster the sim's clock, the earlier it has to begin.
-        controller['lead'] = min(max(2.0, options.real_time), 8.0)
+        controller['lead'] = min(max(2.0, 2.0 * options.real_time), 9.0)
     return [
         Child('recorder', recorder, logs),
         Child('controller', controller, logs),
@@ -198,7 +200,9 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     ]
 
 
-def _watch(children: list[Child], watcher: Watcher, console: Console) -> int:
+def _watch(
+    children: list[Child], watcher: Watcher, interrupted: threading.Event, console: Console
+) -> int:
     """Show how it goes until it is over; return the exit code."""
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)
@@ -213,7 +217,7 @@ def _watch(children: list[Child], watcher: Watcher, console: Console) -> int:
             if not watcher.sim:
                 begun = now
             dead = [child for child in children if child.process.poll() is not None]
-            over = watcher.finished or dead
+            over = watcher.finished or dead or interrupted.is_set()
             if over or now - shown > (0.2 if live else 5.0):
                 shown = now
                 line = Text(watcher.line(now - begun), no_wrap=True)
@@ -227,6 +231,9 @@ def _watch(children: list[Child], watcher: Watcher, console: Console) -> int:
         console.print(f'{child.name} died (exit code {child.process.returncode}):', style='red')
         console.print(child.last_words(), markup=False, soft_wrap=True)
         return _CHILD_DIED
+    if not watcher.finished:
+        console.print('interrupted: closing the bag')
+        return _INTERRUPTED
     return _ARRIVED if watcher.arrived else _TIMED_OUT
 
 
@@ -251,22 +258,21 @@ def main(args: list[str] | None = None) -> int:
         f'{os.environ.get("ROS_DOMAIN_ID", "0")}; output in {options.out}',
         soft_wrap=True,
     )
+    # Nothing is raised in the middle of something: a signal is only noted.
+    interrupted = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: interrupted.set())
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     watcher = Watcher()
     children: list[Child] = []
     try:
         children = _start_children(options, logs)
-        code = _watch(children, watcher, console)
-    except KeyboardInterrupt:
-        console.print('interrupted: closing the bag')
-        code = _INTERRUPTED
+        code = _watch(children, watcher, interrupted, console)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         for child in reversed(children):  # the recorder last, so that it hears everything
             child.end()
         watcher.destroy_node()
-        rclpy.try_shutdown()
+        rclpy.shutdown()
     if (options.out / 'bag').exists():
         try:
             write_report(options.out / 'bag', options.out, console)

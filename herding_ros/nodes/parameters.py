@@ -79,9 +79,9 @@ def _declare_field(node: Node, name: str, default: Any, field: dataclasses.Field
     try:
         value = node.declare_parameter(name, initial, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        given = node._parameter_overrides.get(name)
+        given = node._parameter_overrides[name].value
+        hint = f'; write {given:.1f}' if type(default) is float and type(given) is int else ''
         raise ValueError(
-            f'parameter {name} is {given.value if given else initial!r}, '
-            f'allowed is {describe_limits(field)}'
+            f'parameter {name} is {given!r}, allowed is {describe_limits(field)}{hint}'
         ) from error
     return check(f'parameter {name}', value, field)

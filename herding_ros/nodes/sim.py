@@ -19,6 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from herding_ros.model.flock import distance, spread
 from herding_ros.model.parameters import Parameters, quantity, TINY
+from herding_ros.model.scenario import GOAL
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
@@ -35,7 +36,7 @@ class SimSettings(Parameters):
     """How the sim behaves as a ROS node."""
 
     goal: tuple[float, float] = quantity(
-        (0.5, 0.5), 'destination, at which the flock is judged; goal_pose moves it', 'm'
+        GOAL, 'destination, at which the flock is judged; goal_pose moves it', 'm'
     )
     frame: str = quantity('map', 'frame of all positions')
     lockstep: bool = quantity(
@@ -137,7 +138,8 @@ class Sim(Node):
         """Whether each dog's commands come from a node that hears sheep and dogs."""
         sensors = [self._sheep, *self._dogs]
         return all(
-            any(
+            commands.get_publisher_count() > 0
+            and any(
                 is_heard(self, sensors, commander.node_name)
                 for commander in self.get_publishers_info_by_topic(commands.topic_name)
             )

@@ -231,9 +231,7 @@ def convert_to_sqlite3(source: Path, target: Path) -> None:
         Writer(target, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer,
     ):
         connections = {
-            c.id: writer.add_connection(
-                c.topic, c.msgtype, msgdef=c.msgdef.data, rihs01=c.digest
-            )
+            c.id: writer.add_connection(c.topic, c.msgtype, msgdef=c.msgdef.data, rihs01=c.digest)
             for c in reader.connections
         }
         for connection, time, data in reader.messages():

@@ -83,6 +83,15 @@ def test_run_is_what_the_simulation_did() -> None:
         np.testing.assert_array_equal(again.state.x, x)
 
 
+def test_plans_are_made_from_what_the_sensors_see() -> None:
+    world = World(sheep=9, dogs=2, seed=1)
+    blurred, sharp = (
+        short_run(dataclasses.replace(world, position_noise=noise)) for noise in (0.02, 0.0)
+    )
+    np.testing.assert_array_equal(blurred.x[0], sharp.x[0])
+    assert (blurred.u[0] != sharp.u[0]).any()
+
+
 def test_flock_at_home_needs_no_herding() -> None:
     world = World(sheep=9, dogs=2, seed=1)
     here = Simulation(Crowd(), world, GOAL).state.x.mean(axis=0)

@@ -1,8 +1,11 @@
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 
+from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import (
     Control,
     Horizon,
@@ -12,8 +15,11 @@ from herding_ros.control.parameters import (
     Reference,
 )
 from herding_ros.control.plan import Plan
-from herding_ros.control.receding_horizon import RecedingHorizon, reference, Window
+from herding_ros.control.receding_horizon import RecedingHorizon, reference, SolveReport, Window
 from herding_ros.control.solution import Status
+from herding_ros.control.space_mapping import aggressive
+from herding_ros.control.spg import spg
+from herding_ros.model.admissible import project
 from herding_ros.model.dynamics import increments, rollout
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.parameters import Crowd
@@ -51,9 +57,9 @@ def l2(difference: Array, dt: float) -> float:
 
 
 def test_interpolated_reference_reaches_the_goal_with_the_window() -> None:
-    times, start = np.linspace(0.0, 20.0, 201), np.array([-0.1, 0.2])
+    times, start = np.linspace(0.0, 8.0, 81), np.array([-0.1, 0.2])
     found = reference(Reference(kind='interpolated'), start, GOAL, times)
-    expected = [start + t / 20.0 * (GOAL - start) for t in times]
+    expected = [start + t / 8.0 * (GOAL - start) for t in times]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
 
 
@@ -148,6 +154,52 @@ def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
     played = rollout(Crowd(), state, window.plan.u, window.dt, control.horizon.substeps)
     np.testing.assert_array_equal(window.dogs, played.d)
     assert np.linalg.norm(window.plan.u, axis=-1).max() <= control.max_speed * (1.0 + 1e-15)
+
+
+def test_output_mapping_stops_at_the_accuracy_asked_for() -> None:
+    """The accuracy is a root mean square over the window: the L2 norm over sqrt(T)."""
+
+    def report(accuracy: float) -> SolveReport:
+        mapping = Mapping(paths=20, max_iterations=1, accuracy=accuracy)
+        return solved(0.03, dataclasses.replace(SMALL, mapping=mapping), state).report
+
+    state = herd(9, 2)
+    before = report(1.0).mapping_error_before / np.sqrt(SMALL.horizon.length)
+    enough, short = report(1.001 * before), report(0.999 * before)
+    assert (enough.mapping_iterations, enough.mapping_status) == (0, Status.CONVERGED)
+    assert (short.mapping_iterations, short.mapping_status) == (1, Status.CONVERGED)
+    assert report(1e-6).mapping_status is Status.ITERATION_LIMIT
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
+    """Against parameter extraction as the paper has it: min J(y, u; X, u_c), solved to the end.
+
+    Ours compares centres at instants half a second apart, which is good to some per cent.
+    """
+    crowd, gamma, state = Crowd(noise=0.03), 1e-2, herd(9, 2, seed)
+    mapping = Mapping(
+        method='aggressive', paths=20, max_iterations=2, tolerance=0.0, min_decrease=-1e9
+    )
+    control = dataclasses.replace(PAPER, horizon=SMALL.horizon, mapping=mapping)
+    found = RecedingHorizon(crowd, control, GOAL, seed).solve(state, 0.0)
+    u_coarse = solved(0.03, without_mapping(control), state).plan.u
+    coarse = CoarseModel(crowd, state, found.dt, control.horizon.substeps)
+    noise = increments(np.random.default_rng(seed), crowd, 9, found.dt, len(found.centre) - 1, 20)
+    admissible = partial(project, max_speed=control.max_speed)
+
+    def fine(u: Array) -> Array:
+        return expected_centre(0.03, state, Plan(0.0, coarse.interval, u), found.dt, noise)
+
+    def extract(target: Array, start: Array) -> Array:
+        cost = partial(coarse.value_and_gradient, Objective(1.0, 0.0, gamma, target, u_coarse))
+        return spg(cost, admissible, start, coarse.inner, 1e-7, 1000).u
+
+    expected = aggressive(
+        fine, extract, lambda output: 0.0, admissible, u_coarse, coarse.inner, 0.0, -1e9, 2
+    )
+    assert found.report.mapping_iterations == 2
+    np.testing.assert_allclose(found.report.mapping_residuals, expected.residuals, rtol=0.08)
 
 
 def test_seconds_are_accounted_for() -> None:

@@ -141,9 +141,7 @@ def bag_of(run: Run, path: Path, run_recorder: Any) -> Path:
                 recorder.odometry(f'/truth/dog_{m + 1}/odom', ns, run.d[k, m])
             recorder.publish_ns += 62_500_000
         for each in run.replans:
-            recorder.diagnostics(
-                'controller: plan', 0, replan=each.number, solve_ms=each.solve_ms
-            )
+            recorder.diagnostics('controller: plan', 0, replan=each.number, solve_ms=each.solve_ms)
     return path
 
 
