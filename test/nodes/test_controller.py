@@ -85,6 +85,19 @@ def test_lockstep_answers_with_the_plan_of_the_core(
     peer.spin_until(lambda: len(pasture.plans) == 2)
 
 
+def test_time_set_back_starts_anew(start: Callable[..., Any], peer: Any, herd: HerdState) -> None:
+    """After a reset of the sim the same observation gets the same answer as at first."""
+    start('controller', lockstep=True, dogs=2, **QUICK)
+    pasture = Pasture(peer, herd)
+    for count, ns in enumerate([0, 100_000_000, 2_000_000_000, 0, 0], start=1):
+        pasture.show(ns)
+        pasture.answered(count)
+    for heard in pasture.commands:
+        answers = [messages.velocity_in(message.twist) for message in heard]
+        assert np.array_equal(answers[3], answers[0])
+        assert not np.array_equal(answers[3], answers[2])
+
+
 def test_commands_are_in_the_dogs_own_frame(
     start: Callable[..., Any], peer: Any, herd: HerdState
 ) -> None:
