@@ -168,15 +168,20 @@ class Watcher(Node):
         """Whether it does so because the flock is home."""
         return self.sim.get('arrived') == 'True'
 
-    def line(self, wall: float) -> str:
-        """Say how the herding goes, in one line."""
+    @property
+    def time(self) -> float:
+        """Simulated time of the newest status [s]."""
+        return float(self.sim['time_s'])
+
+    def line(self, since: float, wall: float) -> str:
+        """Say how the herding goes, in one line; `wall` seconds ago the time was `since`."""
         if not self.sim:
             return 'starting the nodes ...'
-        t, distance, spread = (float(self.sim[k]) for k in ('time_s', 'distance_m', 'spread_m'))
+        distance, spread = (float(self.sim[k]) for k in ('distance_m', 'spread_m'))
         solve = f'{float(self.plan["solve_ms"]):.0f} ms' if self.plan else '-'
         return (
-            f't {t:5.1f} s  to go {distance:5.3f} m  spread {spread:5.3f} m  '
-            f'solve {solve:>6}  {t / max(wall, 1e-3):4.1f} x real time'
+            f't {self.time:5.1f} s  to go {distance:5.3f} m  spread {spread:5.3f} m  '
+            f'solve {solve:>6}  {(self.time - since) / max(wall, 1e-3):4.1f} x real time'
         )
 
 
@@ -207,6 +212,7 @@ def _watch(
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)
     begun = shown = time.monotonic()
+    t0 = 0.0
     # One live line for people; a line every few seconds for files and pipes.
     with (
         Live(console=console, auto_refresh=False) if console.is_terminal else nullcontext() as live
@@ -216,11 +222,13 @@ def _watch(
             now = time.monotonic()
             if not watcher.sim:
                 begun = now
+            elif not t0:
+                t0 = max(watcher.time, 1e-9)
             dead = [child for child in children if child.process.poll() is not None]
             over = watcher.finished or dead or interrupted.is_set()
             if over or now - shown > (0.2 if live else 5.0):
                 shown = now
-                line = Text(watcher.line(now - begun), no_wrap=True)
+                line = Text(watcher.line(t0, now - begun), no_wrap=True)
                 if live:
                     live.update(line, refresh=True)
                 else:
