@@ -32,8 +32,20 @@ from herding_ros.model.state import Array, HerdState
 from herding_ros.model.warmup import warm_up
 
 from . import messages
+from .inbox import Inbox, STRAGGLERS
 from .parameters import declare, declare_crowd
-from .running import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, Refusals, run
+from .running import (
+    ADJUSTABLE,
+    CountingPublisher,
+    EVERY_MESSAGE,
+    is_heard,
+    Refusals,
+    run,
+    UNWATCHED,
+)
+
+_PATH_SPACING = 0.5
+"""Time between two poses of a path [s]."""
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -95,7 +107,9 @@ class Controller(Node):
         self._worker = ThreadPoolExecutor(1, 'planner')
         self._missed = 0
 
-        create = partial(self.create_publisher, publisher_class=CountingPublisher)
+        create = partial(
+            self.create_publisher, publisher_class=CountingPublisher, event_callbacks=UNWATCHED
+        )
         publish = partial(create, qos_profile=EVERY_MESSAGE)
         kind = TwistStamped if self._settings.stamped else Twist
         self._commands = [
@@ -127,14 +141,18 @@ class Controller(Node):
         if self._settings.wait_for and not is_heard(self, everything, self._settings.wait_for):
             return
         self.destroy_timer(self._waiting)
-        subscribe = partial(
-            self.create_subscription, qos_profile=10, qos_overriding_options=ADJUSTABLE
+        self._odometry = [
+            Inbox(self, Odometry, f'dog_{m}/odom', 10, qos_overriding_options=ADJUSTABLE)
+            for m in self._dogs
+        ]
+        self.create_subscription(
+            PointCloud2, 'sheep', self._on_sheep, 10, qos_overriding_options=ADJUSTABLE
         )
-        for m in self._dogs:
-            subscribe(Odometry, f'dog_{m}/odom', partial(self._on_odometry, m))
-        subscribe(PointCloud2, 'sheep', self._on_sheep)
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1)
-        if not self._settings.lockstep:
+        if self._settings.lockstep:
+            wall = Clock(clock_type=ClockType.STEADY_TIME)
+            self.create_timer(STRAGGLERS, self._answer_when_complete, clock=wall)
+        else:
             self.create_timer(self._control.horizon.control_period, self._keep_time)
         self.get_logger().info(f'ready to herd with {self._settings.dogs} dogs')
 
@@ -147,14 +165,16 @@ class Controller(Node):
         self._sheep = (messages.nanoseconds(message.header.stamp), x, v)
         self._answer_when_complete()
 
-    def _on_odometry(self, m: int, message: Odometry) -> None:
-        try:
-            position, heading = messages.dog_in(message, self._settings.frame)
-        except ValueError as error:
-            self._refused.add(f'dog_{m}/odom', error)
-            return
-        self._dog[m] = (messages.nanoseconds(message.header.stamp), position, heading)
-        self._answer_when_complete()
+    def _take_odometry(self) -> None:
+        for m, inbox in zip(self._dogs, self._odometry, strict=True):
+            for message, _ in inbox.take():
+                try:
+                    position, heading = messages.dog_in(message, self._settings.frame)
+                except ValueError as error:
+                    self._refused.add(f'dog_{m}/odom', error)
+                    continue
+                ns = messages.nanoseconds(message.header.stamp)
+                self._dog[m] = (ns, position, heading)
 
     def _on_goal(self, message: PoseStamped) -> None:
         try:
@@ -168,6 +188,7 @@ class Controller(Node):
 
     def _observed(self) -> Observed | None:
         """Return the newest observation, as old as its oldest part; None while incomplete."""
+        self._take_odometry()
         if self._sheep is None or len(self._dog) < len(self._dogs):
             return None
         ns, x, v = self._sheep
@@ -192,9 +213,12 @@ class Controller(Node):
             self._planner.restart()  # time was set back: start anew
         if self._planner.due(t) or self._goal_moved:
             self._goal_moved = False
-            self._announce(self._planner.solve(observed.state, t), ns, 0.0)
-        assert self._planner.plan is not None
-        self._command(self._planner.plan.at(t), observed.headings, ns)
+            window = self._planner.solve(observed.state, t)
+            self._command(window.plan.at(t), observed.headings, ns)
+            self._announce(window, ns, 0.0)  # while the sim moves on
+        else:
+            assert self._planner.plan is not None
+            self._command(self._planner.plan.at(t), observed.headings, ns)
 
     # Otherwise: play, and plan ahead in the background.
 
@@ -276,13 +300,14 @@ class Controller(Node):
         """Publish a new plan, what it is expected to do and how it was found."""
         frame, report = self._settings.frame, window.report
         substeps = self._control.horizon.substeps
-        dogs, centre = window.dogs[::substeps], window.centre[::substeps]
-        period = window.plan.dt
         start = round(window.plan.t0 * 1e9)
-        self._plan.publish(messages.trajectory(window.plan, dogs[:-1], start, frame))
-        self._herd_path.publish(messages.path(centre, period, start, frame))
+        dogs = window.dogs[:-1:substeps]
+        self._plan.publish(messages.trajectory(window.plan, dogs, start, frame))
+        every = max(round(_PATH_SPACING / window.dt), 1)
+        spacing = every * window.dt
+        self._herd_path.publish(messages.path(window.centre[::every], spacing, start, frame))
         for m, publisher in enumerate(self._dog_paths):
-            publisher.publish(messages.path(dogs[:, m], period, start, frame))
+            publisher.publish(messages.path(window.dogs[::every, m], spacing, start, frame))
         values = {
             'replan': self._plans,
             **messages.report_values(report),

@@ -191,7 +191,8 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
               'dogs': options.dogs, 'seed': options.seed,
               'crowd.noise': options.sigma}  # fmt: skip
     recorder = {'bag': options.out / 'bag', 'use_sim_time': True}
-    controller = {**shared, 'use_sim_time': True}
+    # In lockstep the stamps say the time, and the clock would only wake the controller.
+    controller = {**shared, 'use_sim_time': not lockstep}
     sim = {**shared, 'sheep': options.sheep, 'stop_on_arrival': True,
            'time_limit': options.time_limit}  # fmt: skip
     if not lockstep:

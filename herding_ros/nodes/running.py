@@ -12,6 +12,7 @@ from typing import Any
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
@@ -26,6 +27,10 @@ EVERY_MESSAGE = QoSProfile(depth=1000)
 
 ADJUSTABLE = QoSOverridingOptions.with_default_policies()
 """Lets users change reliability and depth by parameters, for robots on a radio link."""
+
+
+UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
+"""No events: the executor would look at two for every publisher each time it wakes."""
 
 
 class CountingPublisher(Publisher):

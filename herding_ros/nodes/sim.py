@@ -25,8 +25,17 @@ from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
 from . import messages
+from .inbox import Inbox, STRAGGLERS
 from .parameters import declare, declare_crowd
-from .running import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, Refusals, run
+from .running import (
+    ADJUSTABLE,
+    CountingPublisher,
+    EVERY_MESSAGE,
+    is_heard,
+    Refusals,
+    run,
+    UNWATCHED,
+)
 
 _PERIODS_PER_MARKER = 5
 
@@ -77,6 +86,7 @@ class Sim(Node):
             qos_profile=EVERY_MESSAGE,
             qos_overriding_options=ADJUSTABLE,
             publisher_class=CountingPublisher,
+            event_callbacks=UNWATCHED,
         )
         dogs = range(1, self._world.dogs + 1)
         self._sheep = publish(PointCloud2, 'sheep')
@@ -87,16 +97,16 @@ class Sim(Node):
         self._markers = publish(MarkerArray, 'markers')
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
         kind = TwistStamped if self._settings.stamped else Twist
-        self._commands = [
-            self.create_subscription(
-                kind,
-                f'dog_{m}/cmd_vel',
-                partial(self._on_command, m),
-                10,
-                qos_overriding_options=ADJUSTABLE,
-            )
-            for m in dogs
+        # The commands of a period come together: the last dog's wake the sim, which then takes
+        # those of the others.
+        *others, last = (f'dog_{m}/cmd_vel' for m in dogs)
+        self._inboxes = [
+            Inbox(self, kind, topic, 10, qos_overriding_options=ADJUSTABLE) for topic in others
         ]
+        waking = self.create_subscription(
+            kind, last, self._on_last_command, 10, qos_overriding_options=ADJUSTABLE
+        )
+        self._commands = [*(inbox.subscription for inbox in self._inboxes), waking]
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(SetBool, '~/pause', self._on_pause)
@@ -130,7 +140,9 @@ class Sim(Node):
         )  # fmt: skip
         self._publish_state()
         self.create_timer(0.5, self._publish_diagnostics, clock=self._wall)
-        if not self._settings.lockstep:
+        if self._settings.lockstep:
+            self.create_timer(STRAGGLERS, self._advance_in_lockstep, clock=self._wall)
+        else:
             period = self._world.control_period / self._settings.real_time_factor
             self.create_timer(period, self._advance_in_real_time, clock=self._wall)
 
@@ -146,7 +158,16 @@ class Sim(Node):
             for commands in self._commands
         )
 
-    def _on_command(self, m: int, message: TwistStamped | Twist) -> None:
+    def _on_last_command(self, message: TwistStamped | Twist) -> None:
+        self._take_command(self._world.dogs, message)
+        self._advance_in_lockstep()
+
+    def _take_commands(self) -> None:
+        for m, inbox in enumerate(self._inboxes, start=1):
+            for message, _ in inbox.take():
+                self._take_command(m, message)
+
+    def _take_command(self, m: int, message: TwistStamped | Twist) -> None:
         try:
             twist = message
             if self._settings.stamped:
@@ -164,18 +185,19 @@ class Sim(Node):
             return
         self._velocities[m - 1] = velocity
         self._received_ns[m - 1] = self._simulation.nanoseconds
-        self._advance_in_lockstep()
 
     def _advance_in_lockstep(self) -> None:
         """Move on once every dog has the command that answers the published state."""
         if not self._settings.lockstep:
             return
+        self._take_commands()
         given = [u for u in self._velocities if u is not None]
         if len(given) == self._world.dogs and not self._paused and not self._finished:
             self._forget_commands()
             self._advance(np.array(given))
 
     def _advance_in_real_time(self) -> None:
+        self._take_commands()
         if self._paused or self._finished:
             return
         oldest = self._simulation.nanoseconds - self._settings.command_timeout * 1e9
