@@ -105,6 +105,7 @@ class Controller(Node):
         self._coming: Future[tuple[Window, float]] | None = None
         self._coming_t0 = 0.0
         self._worker = ThreadPoolExecutor(1, 'planner')
+        self._time = 0.0
         self._missed = 0
 
         create = partial(
@@ -228,9 +229,10 @@ class Controller(Node):
         observed = self._observed()
         if observed is None:
             return
-        if self._playing is not None and self._playing.index(t) < 0:
+        if t < self._time:
             self._playing = self._coming = None  # time was set back: start anew
             self._planner.restart()
+        self._time = t
         fresh = t - observed.ns * 1e-9 <= self._settings.state_timeout
         if self._coming is None and fresh and self._is_time_to_plan(t):
             self._begin_plan(observed, t)
@@ -316,11 +318,8 @@ class Controller(Node):
             **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
         }
         self._plans += 1
-        level = (
-            DiagnosticStatus.WARN
-            if margin < 0.0 or self._refused.counts
-            else (DiagnosticStatus.OK)
-        )
+        good = margin >= 0.0 and not self._refused.counts
+        level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         self._diagnostics.publish(
             messages.diagnostics('controller: plan', ns, level, report.status.value, values)
         )
