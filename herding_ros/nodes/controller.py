@@ -26,14 +26,13 @@ from herding_ros.control.parameters import Control
 from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Parameters, quantity, TINY
-from herding_ros.model.scenario import GOAL
+from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.state import Array, HerdState
 from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .inbox import Inbox, STRAGGLERS
-from .parameters import declare, declare_crowd
+from .parameters import declare, declare_crowd, NodeSettings
 from .running import (
     ADJUSTABLE,
     CountingPublisher,
@@ -51,24 +50,17 @@ _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 @dataclass(frozen=True)
-class ControllerSettings(Parameters):
+class ControllerSettings(NodeSettings):
     """How the controller behaves as a ROS node."""
 
     dogs: int = quantity(5, 'number of dogs', low=1)
-    goal: tuple[float, float] = quantity(GOAL, 'destination; goal_pose moves it', 'm')
     seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
-    frame: str = quantity('map', 'frame of all positions')
-    lockstep: bool = quantity(
-        False, 'answer each observation with commands of the same stamp; the sim waits for them'
-    )
-    stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
     lead: float = quantity(
         2.0, 'time before its window at which a plan is begun, not in lockstep', 's', low=0.0
     )
     state_timeout: float = quantity(
         1.0, 'dogs stop when the last observation is older, not in lockstep', 's', low=TINY
     )
-    wait_for: str = quantity('', 'name of a node (a recorder) that must hear everything first')
 
 
 @dataclass(frozen=True)
@@ -89,8 +81,6 @@ class Controller(Node):
         self._settings = declare(self, ControllerSettings())
         self._crowd = declare_crowd(self)
         self._control = declare(self, Control())
-        if self._settings.lockstep and not self._settings.stamped:
-            raise ValueError('lockstep needs stamped commands: set stamped to true')
         self._planner = RecedingHorizon(
             self._crowd, self._control, np.array(self._settings.goal), self._settings.seed
         )

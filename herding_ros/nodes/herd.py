@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from contextlib import nullcontext
 import math
 import os
@@ -30,39 +31,26 @@ _PATIENCE = 20.0
 """Time that a child gets to end by itself [s]."""
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f'{text} is given, allowed is a number above 0')
-    return value
+def _number(
+    kind: type[int] | type[float], low: float | None = None, above: float | None = None
+) -> Callable[[str], float]:
+    """Return a reader of finite numbers of at least `low`, or `above` a bound, for argparse."""
+    words = f'{"an integer" if kind is int else "a finite number"}'
+    words += f' of at least {low}' if low is not None else ''
+    words += f' above {above}' if above is not None else ''
 
+    def read(text: str) -> float:
+        refusal = argparse.ArgumentTypeError(f'{text} is given, allowed is {words}')
+        try:
+            value = kind(text)
+        except ValueError:
+            raise refusal from None
+        too_low = (low is not None and value < low) or (above is not None and value <= above)
+        if too_low or not math.isfinite(value):
+            raise refusal
+        return value
 
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f'{text} is given, allowed is a finite number')
-    return value
-
-
-def _not_negative(text: str) -> float:
-    value = _finite(text)
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f'{text} is given, allowed is a number of at least 0')
-    return value
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f'{text} is given, allowed is an integer of at least 1')
-    return value
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f'{text} is given, allowed is an integer of at least 0')
-    return value
+    return read
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -75,20 +63,20 @@ def _parser() -> argparse.ArgumentParser:
         'died, 130 interrupted by Ctrl-C. Example: herd --dogs 3 --goal 1 1 --seed 4',
     )
     add = parser.add_argument
-    add('--sheep', type=_count, default=30, metavar='N', help='number of sheep (30)')
-    add('--dogs', type=_count, default=5, metavar='M', help='number of dogs (5)')
-    add('--sigma', type=_not_negative, default=0.01, help='noise of the sheep (0.01)')
+    add('--sheep', type=_number(int, low=1), default=30, metavar='N', help='number of sheep (30)')
+    add('--dogs', type=_number(int, low=1), default=5, metavar='M', help='number of dogs (5)')
+    add('--sigma', type=_number(float, low=0), default=0.01, help='noise of the sheep (0.01)')
     add(
-        '--goal', type=_finite, nargs=2, default=GOAL, metavar=('X', 'Y'),
+        '--goal', type=_number(float), nargs=2, default=GOAL, metavar=('X', 'Y'),
         help='destination in metres (0.5 0.5); the flock starts around the origin',
     )  # fmt: skip
-    add('--seed', type=_seed, default=0, help='same seed, same run (0)')
+    add('--seed', type=_number(int, low=0), default=0, help='same seed, same run (0)')
     add(
-        '--time-limit', type=_positive, default=400.0, metavar='S',
+        '--time-limit', type=_number(float, above=0), default=400.0, metavar='S',
         help='simulated seconds to try (400)',
     )  # fmt: skip
     add(
-        '--real-time', type=_positive, metavar='FACTOR',
+        '--real-time', type=_number(float, above=0), metavar='FACTOR',
         help='run at FACTOR x real time instead of in lockstep, as fast as possible',
     )  # fmt: skip
     add(
@@ -177,11 +165,12 @@ class Watcher(Node):
         """Say how the herding goes, in one line; `wall` seconds ago the time was `since`."""
         if not self.sim:
             return 'starting the nodes ...'
+        pace = f'{(self.time - since) / wall:4.1f}' if self.time > since else '   -'
         distance, spread = (float(self.sim[k]) for k in ('distance_m', 'spread_m'))
         solve = f'{float(self.plan["solve_ms"]):.0f} ms' if self.plan else '-'
         return (
             f't {self.time:5.1f} s  to go {distance:5.3f} m  spread {spread:5.3f} m  '
-            f'solve {solve:>6}  {(self.time - since) / max(wall, 1e-3):4.1f} x real time'
+            f'solve {solve:>6}  {pace} x real time'
         )
 
 

@@ -17,6 +17,29 @@ from herding_ros.model.parameters import (
     Parameters,
     quantity,
 )
+from herding_ros.model.scenario import GOAL
+
+
+@dataclasses.dataclass(frozen=True)
+class NodeSettings(Parameters):
+    """What sim and controller have in common as ROS nodes."""
+
+    goal: tuple[float, float] = quantity(GOAL, 'destination; goal_pose moves it', 'm')
+    frame: str = quantity('map', 'frame of all positions')
+    lockstep: bool = quantity(
+        False,
+        'the sim waits at each control period for the commands that answer its state, '
+        'which the controller stamps as the state is stamped',
+    )
+    stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
+    wait_for: str = quantity('', 'name of a node (a recorder) that must hear everything first')
+
+    def __post_init__(self) -> None:
+        """Check what goes together."""
+        super().__post_init__()
+        if self.lockstep and not self.stamped:
+            raise ValueError('lockstep needs stamped commands: set stamped to true')
+
 
 _P = TypeVar('_P', bound=Parameters)
 _UNBOUNDED = 1e9

@@ -18,15 +18,14 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from herding_ros.model.flock import distance, spread
-from herding_ros.model.parameters import Parameters, quantity, TINY
-from herding_ros.model.scenario import GOAL
+from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .inbox import Inbox, STRAGGLERS
-from .parameters import declare, declare_crowd
+from .parameters import declare, declare_crowd, NodeSettings
 from .running import (
     ADJUSTABLE,
     CountingPublisher,
@@ -41,26 +40,17 @@ _PERIODS_PER_MARKER = 5
 
 
 @dataclass(frozen=True)
-class SimSettings(Parameters):
+class SimSettings(NodeSettings):
     """How the sim behaves as a ROS node."""
 
-    goal: tuple[float, float] = quantity(
-        GOAL, 'destination, at which the flock is judged; goal_pose moves it', 'm'
-    )
-    frame: str = quantity('map', 'frame of all positions')
-    lockstep: bool = quantity(
-        False, 'wait at each control period for the commands that answer the published state'
-    )
     real_time_factor: float = quantity(
         1.0, 'simulated seconds per second when not in lockstep', low=1e-3, high=1e3
     )
-    stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
     command_timeout: float = quantity(
         0.5, 'a dog stops when its last command is older than this', 's', low=TINY
     )
     stop_on_arrival: bool = quantity(False, 'stand still once the flock is home and together')
     time_limit: float = quantity(0.0, 'stand still after this time; 0: never', 's', low=0.0)
-    wait_for: str = quantity('', 'name of a node (a recorder) that must hear everything first')
 
 
 class Sim(Node):
@@ -72,8 +62,6 @@ class Sim(Node):
         self._settings = declare(self, SimSettings())
         self._crowd = declare_crowd(self)
         self._world = declare(self, World())
-        if self._settings.lockstep and not self._settings.stamped:
-            raise ValueError('lockstep needs stamped commands: set stamped to true')
         warm_up()
         self._goal = np.array(self._settings.goal)
         self._refused = Refusals(self.get_logger())
