@@ -22,6 +22,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from .topic_qos import asks_more
+
 EVERY_MESSAGE = QoSProfile(depth=1000)
 """Reliable, with room for what a slow listener has not taken yet."""
 
@@ -99,9 +101,16 @@ def _on_signal(act: Callable[[], None]) -> None:
 
 
 def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool:
-    """Whether the node named `listener` and all other subscribers are matched by publishers."""
+    """Whether the node named `listener` and all other subscribers are matched by publishers.
+
+    Subscribers that ask for more than a publisher offers never will be, and do not count.
+    """
     for publisher in publishers:
-        subscribers = node.get_subscriptions_info_by_topic(publisher.topic_name)
+        subscribers = [
+            info
+            for info in node.get_subscriptions_info_by_topic(publisher.topic_name)
+            if not asks_more(info.qos_profile, publisher.qos_profile)
+        ]
         if listener not in {info.node_name for info in subscribers}:
             return False
         if publisher.get_subscription_count() < len(subscribers):

@@ -27,7 +27,7 @@ def adapted_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfi
 
 
 def asks_more(profile: QoSProfile, other: QoSProfile) -> bool:
-    """Whether there are publishers that satisfy the other profile but not this one."""
+    """Whether a subscription with this profile asks for more than the other one offers."""
     return (
         profile.reliability == ReliabilityPolicy.RELIABLE != other.reliability
         or profile.durability == DurabilityPolicy.TRANSIENT_LOCAL != other.durability

@@ -12,6 +12,7 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
@@ -43,8 +44,8 @@ class Shepherd:
 
     def answer(self, u: Any) -> int:
         """Answer the newest state, wait for the next and return its stamp."""
-        seen = len(self.truth)
         ns = self.newest()
+        seen = len(self.truth)
         for m in range(len(self.publishers)):
             self.command(u, ns, m, messages.dog_frame(m + 1))
         self.peer.spin_until(lambda: len(self.truth) > seen)
@@ -89,6 +90,17 @@ def test_lockstep_is_the_simulation_of_the_core(start: Callable[..., Any], peer:
         assert messages.nanoseconds(shepherd.sheep[k].header.stamp) == k * 100_000_000
         shepherd.answer(u)
         expected.advance(np.array([u, u]))
+
+
+def test_subscriber_that_asks_too_much_holds_up_nobody(
+    start: Callable[..., Any], peer: Any
+) -> None:
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    heard = peer.listen(PointCloud2, 'sheep', latched)
+    start('sim', lockstep=True, **SMALL)
+    shepherd = Shepherd(peer)
+    assert shepherd.answer([0.01, 0.0]) == 100_000_000
+    assert not heard
 
 
 def test_lockstep_waits_for_every_dog_and_for_the_right_stamp(
