@@ -274,7 +274,7 @@ def main(args: list[str] | None = None) -> int:
     if (options.out / 'bag').exists():
         try:
             write_report(options.out / 'bag', options.out, console)
-        except ValueError as error:
+        except (OSError, ValueError) as error:
             console.print(f'no report: {error}', style='red', soft_wrap=True)
     return code
 

@@ -167,3 +167,17 @@ def test_dead_child_is_named_with_its_last_words(
     assert 'ready to herd' in process.log
     assert psutil.wait_procs(children, timeout=5.0)[1] == []
     assert len(read(tmp_path / 'out' / 'bag')['/truth/sheep']) > 0
+
+
+def test_dead_recorder_is_named_though_its_bag_is_not_closed(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
+    process = start('herd', '--real-time', '2', '--out', str(tmp_path / 'out'))
+    process.wait_for('to go')
+    children = psutil.Process(process.process.pid).children()
+    next(c for c in children if 'herding_ros.nodes.recorder' in c.cmdline()).kill()
+    assert process.wait() == 3
+    assert 'recorder died (exit code -9)' in process.log
+    assert 'no report' in process.log
+    assert 'Traceback' not in process.log
+    assert psutil.wait_procs(children, timeout=5.0)[1] == []
