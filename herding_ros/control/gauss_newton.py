@@ -10,7 +10,7 @@ import numpy as np
 
 from herding_ros.model.state import Array
 
-from .solution import InnerProduct, Projection, Solution, Status
+from .solution import criticality, InnerProduct, Projection, Solution, Status
 from .spg import spg
 
 _INNER_TOLERANCE = 1e-6
@@ -50,7 +50,6 @@ def gauss_newton(
     value = _value(r, u, anchor, weight, inner)
     status = Status.ITERATION_LIMIT
     iterations = 0
-    gradient = linearisation.transposed(r) + weight * (u - anchor)
     while iterations < max_iterations:
         iterations += 1
 
@@ -67,13 +66,12 @@ def gauss_newton(
             break
         step = trial - u
         u, r, value = trial, trial_residual, trial_value
-        gradient = linearisation.transposed(r) + weight * (u - anchor)
         if math.sqrt(inner(step, step)) <= tolerance:
             status = Status.CONVERGED
             break
-    descent = project(u - gradient) - u
-    norm = math.sqrt(inner(descent, descent))
-    return Solution(u, value, norm, status, iterations, iterations + 1)
+    gradient = linearisation.transposed(r) + weight * (u - anchor)
+    distance = criticality(project, u, gradient, inner)
+    return Solution(u, value, distance, status, iterations, iterations + 1)
 
 
 def _value(r: Array, u: Array, anchor: Array, weight: float, inner: InnerProduct) -> float:

@@ -6,7 +6,7 @@ import math
 
 from herding_ros.model.state import Array
 
-from .solution import InnerProduct, Projection, Solution, Status, ValueAndGradient
+from .solution import criticality, InnerProduct, Projection, Solution, Status, ValueAndGradient
 
 _SUFFICIENT_DECREASE = 1e-4
 _BACKTRACKS = 40
@@ -46,7 +46,7 @@ def ncg(
                 break
             size *= 0.5
         else:
-            if direction is not None and inner(direction + gradient, direction + gradient) > 0.0:
+            if inner(direction + gradient, direction + gradient) > 0.0:
                 direction, size = -gradient, 1.0  # restart by steepest descent
                 continue
             status = Status.NO_DESCENT
@@ -61,5 +61,5 @@ def ncg(
         if inner(direction, gradient) >= 0.0:
             direction = -gradient
         size *= 2.0
-    step = project(u - gradient) - u
-    return Solution(u, value, math.sqrt(inner(step, step)), status, iterations, calls)
+    distance = criticality(project, u, gradient, inner)
+    return Solution(u, value, distance, status, iterations, calls)

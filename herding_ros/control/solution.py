@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+import math
 
 from herding_ros.model.state import Array
 
@@ -29,8 +30,14 @@ class Solution:
     u: Array
     value: float
     gradient_norm: float
-    """Norm of the projected gradient P(u - g) - u: zero at a stationary point."""
+    """Its `criticality`."""
     status: Status
     iterations: int
     calls: int
     """Evaluations of value and gradient."""
+
+
+def criticality(project: Projection, u: Array, gradient: Array, inner: InnerProduct) -> float:
+    """Norm of the projected gradient P(u - g) - u: zero at a stationary point."""
+    step = project(u - gradient) - u
+    return math.sqrt(inner(step, step))

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-import math
 
 from herding_ros.model.state import Array
 
-from .solution import InnerProduct, Projection, Solution, Status, ValueAndGradient
+from .solution import criticality, InnerProduct, Projection, Solution, Status, ValueAndGradient
 
 _SUFFICIENT_DECREASE = 1e-4
 _MEMORY = 8
@@ -35,14 +34,14 @@ def spg(
     calls = 1
     recent = deque([value], maxlen=_MEMORY)
     length = 1.0
-    best = (value, u, _criticality(project, u, gradient, inner))
+    best = (value, u, criticality(project, u, gradient, inner))
     status = Status.ITERATION_LIMIT
     iterations = 0
     for iterations in range(max_iterations + 1):
-        criticality = _criticality(project, u, gradient, inner)
+        distance = criticality(project, u, gradient, inner)
         if value <= best[0]:
-            best = (value, u, criticality)
-        if criticality <= tolerance:
+            best = (value, u, distance)
+        if distance <= tolerance:
             status = Status.CONVERGED
             break
         if iterations == max_iterations:
@@ -67,13 +66,8 @@ def spg(
         length = min(max(length, _STEP_LIMITS[0]), _STEP_LIMITS[1])
         u, value, gradient = trial, trial_value, trial_gradient
         recent.append(value)
-    value, u, criticality = best
-    return Solution(u, value, criticality, status, iterations, calls)
-
-
-def _criticality(project: Projection, u: Array, gradient: Array, inner: InnerProduct) -> float:
-    step = project(u - gradient) - u
-    return math.sqrt(inner(step, step))
+    value, u, distance = best
+    return Solution(u, value, distance, status, iterations, calls)
 
 
 def _interpolate(fraction: float, slope: float, value: float, trial_value: float) -> float:

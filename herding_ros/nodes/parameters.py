@@ -64,23 +64,18 @@ def declare(node: Node, defaults: _P, prefix: str = '') -> _P:
         raise ValueError(f'parameters {prefix or "of the node"}: {error}') from error
 
 
+@dataclasses.dataclass(frozen=True)
+class _Preset(Parameters):
+    preset: str = quantity(
+        'cohesive', 'where the defaults of crowd.* come from', choices=tuple(CROWDS)
+    )
+
+
 def declare_crowd(node: Node) -> Crowd:
     """Declare the crowd: `crowd.preset` gives the defaults of the other `crowd.` parameters."""
-    choice = quantity('cohesive', 'where the defaults of crowd.* come from', choices=tuple(CROWDS))
-    field = _named('preset', choice)
-    preset = _declare_field(node, 'crowd.preset', field.default, field)
+    (choice,) = dataclasses.fields(_Preset)
+    preset = _declare_field(node, 'crowd.preset', choice.default, choice)
     return declare(node, CROWDS[preset], 'crowd.')
-
-
-def declare_one(node: Node, name: str, field: Any) -> Any:
-    """Declare a single parameter from a `quantity` and return its value."""
-    named = _named(name, field)
-    return _declare_field(node, name, named.default, named)
-
-
-def _named(name: str, field: Any) -> dataclasses.Field[Any]:
-    holder = dataclasses.make_dataclass('_Holder', [(name, Any, field)])
-    return dataclasses.fields(holder)[0]
 
 
 def _declare_field(node: Node, name: str, default: Any, field: dataclasses.Field[Any]) -> Any:
