@@ -11,8 +11,7 @@ import time
 import numpy as np
 
 from herding_ros.model.admissible import project
-from herding_ros.model.dynamics import increments
-from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
 from herding_ros.model.flock import centre
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, finite, HerdState
@@ -107,7 +106,7 @@ class RecedingHorizon:
     goal: Array
     seed: int = 0
     _last: Plan | None = field(default=None, init=False)
-    _noise: Array | None = field(default=None, init=False)
+    _noise: NoisePaths | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -278,11 +277,11 @@ class RecedingHorizon:
             )
         return result, calls
 
-    def _common_noise(self, n: int, steps: int) -> Array:
+    def _common_noise(self, n: int, steps: int) -> NoisePaths:
         if self._noise is None or self._noise_sheep != n:
             rng = np.random.default_rng(self.seed)
             paths, dt = self.control.mapping.paths, self.control.horizon.dt
-            self._noise = increments(rng, self.crowd, n, dt, steps, paths)
+            self._noise = noise_paths(rng, self.crowd, n, dt, steps, paths)
             self._noise_sheep = n
         return self._noise
 

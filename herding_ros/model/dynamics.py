@@ -25,9 +25,9 @@ def physics(crowd: Crowd, n: int, dt: float) -> kernels.Physics:
     """Return what the kernels need to know about n sheep and steps of dt [s]."""
     if not (np.isfinite(dt) and dt > 0.0):
         raise ValueError(f'the time step dt is {dt!r}, allowed is a number above 0')
-    return kernels.Physics(
-        n, float(dt), crowd.sheep.coefficients, crowd.dog.coefficients, crowd.friction
-    )
+    repulsion, repulsion_rate, attraction, attraction_rate = crowd.sheep.coefficients
+    sheep = (repulsion / n, repulsion_rate, attraction / n, attraction_rate)
+    return kernels.Physics(n, float(dt), sheep, crowd.dog.coefficients, crowd.friction)
 
 
 def to_lanes(points: Array) -> Array:
@@ -45,12 +45,10 @@ def forces(crowd: Crowd, x: Array, d: Array) -> Array:
     return out[:, : len(x)].T
 
 
-def increments(
-    rng: np.random.Generator, crowd: Crowd, n: int, dt: float, steps: int, paths: int
-) -> Array:
-    """Draw sigma dB for n sheep: (paths, steps, 2, lanes) [m/s], dB ~ N(0, dt) each."""
-    noise = np.zeros((paths, steps, 2, kernels.lanes(n)))
-    noise[..., :n] = rng.standard_normal((paths, steps, 2, n))
+def increments(rng: np.random.Generator, crowd: Crowd, n: int, dt: float, steps: int) -> Array:
+    """Draw sigma dB for n sheep: (steps, 2, lanes) [m/s], dB ~ N(0, dt) each."""
+    noise = np.zeros((steps, 2, kernels.lanes(n)))
+    noise[..., :n] = rng.standard_normal((steps, 2, n))
     noise *= crowd.noise * np.sqrt(dt)
     return noise
 

@@ -3,18 +3,45 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 import os
 
 import numpy as np
 
 from . import kernels
 from .dynamics import check_control, physics, to_lanes
+from .kernels import LANES
 from .parameters import Crowd
 from .state import Array, HerdState
 
-# Paths are summed in blocks of this fixed size and the blocks in their order, so that the
-# result does not depend on the number of threads.
-_PATHS_PER_BLOCK = 4
+
+@dataclass(frozen=True)
+class NoisePaths:
+    """Noise sigma dB of many paths, as the kernels want it.
+
+    blocks (blocks, K, 2, n * LANES) [m/s]: LANES paths are integrated at once, those of a
+    sheep side by side. The last block may hold more than is used: `paths` counts.
+    """
+
+    paths: int
+    blocks: Array
+
+    def path(self, i: int) -> Array:
+        """Return the noise of path i as `rollout` wants it, (K, 2, lanes) [m/s]."""
+        block, lane = divmod(range(self.paths)[i], LANES)
+        values = self.blocks[block, :, :, lane::LANES]
+        out = np.zeros((*values.shape[:2], kernels.lanes(values.shape[2])))
+        out[:, :, : values.shape[2]] = values
+        return out
+
+
+def noise_paths(
+    rng: np.random.Generator, crowd: Crowd, n: int, dt: float, steps: int, paths: int
+) -> NoisePaths:
+    """Draw sigma dB for n sheep and K = steps of dt [s], with dB ~ N(0, dt) each."""
+    blocks = rng.standard_normal((-(-paths // LANES), steps, 2, n * LANES))
+    blocks *= crowd.noise * np.sqrt(dt)
+    return NoisePaths(paths, blocks)
 
 
 def expected_positions(
@@ -23,34 +50,34 @@ def expected_positions(
     u: Array,
     dt: float,
     substeps: int,
-    noise: Array,
+    noise: NoisePaths,
     threads: int | None = None,
 ) -> Array:
     """Mean positions (K+1, N, 2) [m] of the sheep over the given noise paths.
 
-    u and substeps as in `rollout`; noise (paths, K, 2, lanes) from `increments`. Handing in
-    the same noise for different controls (common random numbers) makes the result a smooth,
-    repeatable function of the control. Runs on all cores by default, and gives the same bits
-    for any number of threads.
+    u and substeps as in `rollout`. Handing in the same noise for different controls (common
+    random numbers) makes the result a smooth, repeatable function of the control. Runs on all
+    cores by default. Blocks of paths are summed in their order, so that the result has the
+    same bits for any number of threads.
     """
     n, m = len(state.x), len(state.d)
     u = check_control(u, m)
-    paths, steps = noise.shape[:2]
-    shape = (steps, 2, kernels.lanes(n))
-    if steps != len(u) * substeps or noise.shape[1:] != shape or not paths:
+    steps = len(u) * substeps
+    shape = (-(-noise.paths // LANES), steps, 2, n * LANES)
+    if noise.blocks.shape != shape or noise.paths < 1:
         raise ValueError(
-            f'noise has shape {noise.shape}, allowed is at least one path of shape '
-            f'{(len(u) * substeps, 2, kernels.lanes(n))}'
+            f'{noise.paths} paths of noise have shape {noise.blocks.shape}, allowed is {shape} '
+            'with at least one path'
         )
     x, v, d = to_lanes(state.x), to_lanes(state.v), np.ascontiguousarray(state.d.T)
     constants = physics(crowd, n, dt)
 
-    def sum_of_block(first: int) -> Array:
-        total = np.zeros((steps + 1, *shape[1:]))
-        block = noise[first : first + _PATHS_PER_BLOCK]
-        kernels.add_paths(total, x, v, d, u, substeps, block, constants)
+    def sum_of_block(block: int) -> Array:
+        total = np.zeros((steps + 1, 2, n))
+        used = min(noise.paths - block * LANES, LANES)
+        kernels.add_paths(total, x, v, d, u, substeps, noise.blocks[block], used, constants)
         return total
 
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
-        total = sum(pool.map(sum_of_block, range(0, paths, _PATHS_PER_BLOCK)))
-    return np.asarray(total)[:, :, :n].transpose(0, 2, 1) / paths
+        total = sum(pool.map(sum_of_block, range(len(noise.blocks))))
+    return np.asarray(total).transpose(0, 2, 1) / noise.paths

@@ -19,8 +19,12 @@ import numpy as np
 
 from .state import Array
 
-LANES = 8
-"""Sheep are padded to a multiple of this: one AVX-512 register of doubles, two of AVX2."""
+LANES = 16
+"""Sheep are padded to a multiple of this: two AVX-512 registers of doubles, four of AVX2.
+
+Loops over so many lanes have a fixed length that the compiler sees. With 8 it would unroll
+them before it vectorises.
+"""
 
 # 'reassoc' lets the compiler sum rows in vector registers, 'contract' lets it fuse
 # multiply-adds. NaN and infinity keep their meaning. The order of summation is fixed at
@@ -37,7 +41,10 @@ MorseCoefficients = tuple[float, float, float, float]
 
 
 class Physics(NamedTuple):
-    """What a step needs besides the state: numbers that stay the same along a rollout."""
+    """What a step needs besides the state: numbers that stay the same along a rollout.
+
+    The potential of the sheep is divided by n, their number.
+    """
 
     n: int
     dt: float
@@ -51,6 +58,9 @@ _LOG2_E = 1.0 / math.log(2.0)
 _LN2_HIGH = 6.93147180369123816490e-01
 _LN2_LOW = 1.90821492927058770002e-10
 _UNDERFLOW = -700.0
+# Doubles from 2^52 to 2^53 are whole numbers: adding this rounds to the nearest integer and
+# leaves it in the lowest bits of the sum, negative ones as two's complement.
+_ROUNDING = 1.5 * 2.0**52
 
 
 def lanes(n: int) -> int:
@@ -64,25 +74,27 @@ def exp_neg(x: float) -> float:
 
     Relative error below 4e-16 for -700 <= x <= 0; e**-700 for anything smaller. Writes
     x = n log 2 + f with |f| <= log(2)/2, sums the Taylor series of e**f to degree 12
-    (remainder f**13/13! < 2e-16) and puts n into the exponent bits.
+    (remainder f**13/13! < 2e-16) and adds n to the exponent bits.
     """
     x = max(x, _UNDERFLOW)
-    n = math.floor(x * _LOG2_E + 0.5)
+    rounded = x * _LOG2_E + _ROUNDING
+    n = rounded - _ROUNDING
     f = (x - n * _LN2_HIGH) - n * _LN2_LOW
-    p = 1.0 / 479001600.0
-    p = p * f + 1.0 / 39916800.0
-    p = p * f + 1.0 / 3628800.0
-    p = p * f + 1.0 / 362880.0
-    p = p * f + 1.0 / 40320.0
-    p = p * f + 1.0 / 5040.0
-    p = p * f + 1.0 / 720.0
-    p = p * f + 1.0 / 120.0
-    p = p * f + 1.0 / 24.0
-    p = p * f + 1.0 / 6.0
-    p = p * f + 0.5
-    p = p * f + 1.0
-    p = p * f + 1.0
-    return p * np.int64((np.int64(np.int32(n)) + 1023) << 52).view(np.float64)
+    f2 = f * f
+    even = 1.0 / 479001600.0
+    even = even * f2 + 1.0 / 3628800.0
+    even = even * f2 + 1.0 / 40320.0
+    even = even * f2 + 1.0 / 720.0
+    even = even * f2 + 1.0 / 24.0
+    even = even * f2 + 0.5
+    odd = 1.0 / 39916800.0
+    odd = odd * f2 + 1.0 / 362880.0
+    odd = odd * f2 + 1.0 / 5040.0
+    odd = odd * f2 + 1.0 / 120.0
+    odd = odd * f2 + 1.0 / 6.0
+    p = 1.0 + (f + f2 * (even + f * odd))
+    exponent = np.float64(rounded).view(np.int64) << 52
+    return np.int64(np.float64(p).view(np.int64) + exponent).view(np.float64)
 
 
 @_inlined
@@ -105,39 +117,38 @@ def hessian(r2: float, p: MorseCoefficients) -> tuple[float, float]:
     r = math.sqrt(r2)
     attraction = p[2] * exp_neg(-p[3] * r)
     repulsion = p[0] * exp_neg(-p[1] * r)
-    a = (attraction - repulsion) / r
-    b = (p[1] * repulsion - p[3] * attraction - a) / r2
-    return (a, b) if r2 > 0.0 else (0.0, 0.0)
+    per_r2 = 1.0 / r2 if r2 > 0.0 else 0.0  # the only division: 1 / r = r / r2
+    a = (attraction - repulsion) * r * per_r2
+    b = (p[1] * repulsion - p[3] * attraction - a) * per_r2
+    return a, b
 
 
-@_kernel
-def _pull_of_flock(
-    xi: float, yi: float, x: Array, y: Array, n: int, p: MorseCoefficients
-) -> tuple[float, float]:
-    """Sum over the n sheep of the gradient of P(|x_i - x_j|) with respect to x_i."""
-    sum_x = 0.0
-    sum_y = 0.0
-    for j in range(x.shape[0]):
-        dx = xi - x[j]
-        dy = yi - y[j]
-        a = slope_over_r(dx * dx + dy * dy, p)
-        a = a if j < n else 0.0
-        sum_x += a * dx
-        sum_y += a * dy
-    return sum_x, sum_y
-
-
-@_kernel
-def _subtract_pull_of_dog(
-    ax: Array, ay: Array, x: Array, y: Array, dx: float, dy: float, p: MorseCoefficients
+@_inlined
+def _subtract_pull(
+    ax: Array,
+    ay: Array,
+    x: Array,
+    y: Array,
+    source_x: float,
+    source_y: float,
+    p: MorseCoefficients,
 ) -> None:
-    """Subtract from each sheep's acceleration the gradient of P(|x_i - d|)."""
-    for i in range(x.shape[0]):
-        sx = x[i] - dx
-        sy = y[i] - dy
+    """Subtract from LANES accelerations the gradient of P(|x_i - source|)."""
+    for i in range(LANES):
+        sx = x[i] - source_x
+        sy = y[i] - source_y
         a = slope_over_r(sx * sx + sy * sy, p)
         ax[i] -= a * sx
         ay[i] -= a * sy
+
+
+@_kernel
+def _subtract_pulls(
+    ax: Array, ay: Array, x: Array, y: Array, xs: Array, ys: Array, p: MorseCoefficients
+) -> None:
+    """Subtract the pull of all sources (xs, ys) from the accelerations of LANES sheep."""
+    for j in range(xs.shape[0]):
+        _subtract_pull(ax, ay, x, y, xs[j], ys[j], p)
 
 
 @_kernel
@@ -145,22 +156,59 @@ def acceleration(x: Array, d: Array, physics: Physics, out: Array) -> None:
     """Put the interaction forces on the sheep (paper, state system, no friction) in out."""
     n = physics.n
     out[:] = 0.0
-    for i in range(n):
-        gx, gy = _pull_of_flock(x[0, i], x[1, i], x[0], x[1], n, physics.sheep)
-        out[0, i] = -gx / n
-        out[1, i] = -gy / n
-    for m in range(d.shape[1]):
-        _subtract_pull_of_dog(out[0], out[1], x[0], x[1], d[0, m], d[1, m], physics.dog)
+    for i in range(0, x.shape[1], LANES):
+        ax, ay = out[0, i : i + LANES], out[1, i : i + LANES]
+        xi, yi = x[0, i : i + LANES], x[1, i : i + LANES]
+        _subtract_pulls(ax, ay, xi, yi, x[0, :n], x[1, :n], physics.sheep)
+        _subtract_pulls(ax, ay, xi, yi, d[0], d[1], physics.dog)
     out[:, n:] = 0.0
+
+
+@_inlined
+def _subtract_pull_of_pair(
+    ax: Array, ay: Array, x: Array, y: Array, i: int, j: int, p: MorseCoefficients
+) -> None:
+    """Subtract the gradient of P(|x_i - x_j|) from both accelerations, in LANES paths."""
+    for path in range(LANES):
+        sx = x[i + path] - x[j + path]
+        sy = y[i + path] - y[j + path]
+        a = slope_over_r(sx * sx + sy * sy, p)
+        ax[i + path] -= a * sx
+        ay[i + path] -= a * sy
+        ax[j + path] += a * sx
+        ay[j + path] += a * sy
+
+
+@_kernel
+def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> None:
+    """Do what `acceleration` does for LANES paths at once: x, out[2, n * LANES].
+
+    The paths of a sheep lie side by side, so that a vector unit takes the same pair in many
+    paths. Then each pair needs a single look: action and reaction are opposite.
+    """
+    out[:] = 0.0
+    for i in range(0, x.shape[1], LANES):
+        for j in range(0, i, LANES):
+            _subtract_pull_of_pair(out[0], out[1], x[0], x[1], i, j, physics.sheep)
+        ax, ay = out[0, i : i + LANES], out[1, i : i + LANES]
+        xi, yi = x[0, i : i + LANES], x[1, i : i + LANES]
+        _subtract_pulls(ax, ay, xi, yi, d[0], d[1], physics.dog)
 
 
 @_kernel
 def _advance(
-    x: Array, v: Array, a: Array, noise: Array, physics: Physics, x_next: Array, v_next: Array
+    x: Array,
+    v: Array,
+    a: Array,
+    noise: Array,
+    dt: float,
+    alpha: float,
+    x_next: Array,
+    v_next: Array,
 ) -> None:
     for i in range(x.shape[0]):
-        x_next[i] = x[i] + physics.dt * v[i]
-        v_next[i] = v[i] + physics.dt * (a[i] - physics.alpha * v[i]) + noise[i]
+        x_next[i] = x[i] + dt * v[i]
+        v_next[i] = v[i] + dt * (a[i] - alpha * v[i]) + noise[i]
 
 
 @_kernel
@@ -169,17 +217,16 @@ def step(
     v: Array,
     d: Array,
     u: Array,
+    a: Array,
     noise: Array,
     physics: Physics,
-    a: Array,
     x_next: Array,
     v_next: Array,
     d_next: Array,
 ) -> None:
-    """One Euler-Maruyama step; u[M, 2] the control, noise[2, lanes] = sigma dB, a scratch."""
-    acceleration(x, d, physics, a)
+    """One Euler-Maruyama step; a the acceleration, noise = sigma dB, u[M, 2] the control."""
     for c in range(2):
-        _advance(x[c], v[c], a[c], noise[c], physics, x_next[c], v_next[c])
+        _advance(x[c], v[c], a[c], noise[c], physics.dt, physics.alpha, x_next[c], v_next[c])
         for m in range(d.shape[1]):
             d_next[c, m] = d[c, m] + physics.dt * u[m, c]
 
@@ -191,15 +238,18 @@ def rollout(
     """Fill x[K+1, 2, lanes], v, d[K+1, 2, M] from their first entries; noise[K, 2, lanes]."""
     a = np.empty_like(x[0])
     for k in range(noise.shape[0]):
+        acceleration(x[k], d[k], physics, a)
         step(
-            x[k], v[k], d[k], u[k // substeps], noise[k], physics, a, x[k + 1], v[k + 1], d[k + 1]
+            x[k], v[k], d[k], u[k // substeps], a, noise[k], physics, x[k + 1], v[k + 1], d[k + 1]
         )
 
 
 @_kernel
-def _add(total: Array, x: Array) -> None:
+def _dot(x: Array, y: Array) -> float:
+    total = 0.0
     for i in range(x.shape[0]):
-        total[i] += x[i]
+        total += x[i] * y[i]
+    return total
 
 
 @_kernel
@@ -211,33 +261,38 @@ def add_paths(
     u: Array,
     substeps: int,
     noise: Array,
+    paths: int,
     physics: Physics,
 ) -> None:
-    """Add the positions along each path to total[K+1, 2, lanes]; noise[paths, K, 2, lanes].
+    """Add the positions in the first `paths` of LANES paths to total[K+1, 2, n].
 
-    All paths start from x[2, lanes], v, d[2, M]. No trajectory is stored.
+    noise[K, 2, n * LANES], a sheep's paths side by side. All paths start from x[2, lanes], v,
+    d[2, M]. No trajectory is stored.
     """
-    a = np.empty_like(x)
+    n, steps = physics.n, noise.shape[0]
+    a = np.empty((2, n * LANES))
     # Two states, the present one and the next, take turns.
-    xs = np.empty((2, 2, x.shape[1]))
-    vs = np.empty((2, 2, x.shape[1]))
+    xs = np.empty((2, 2, n * LANES))
+    vs = np.empty((2, 2, n * LANES))
     ds = np.empty((2, 2, d.shape[1]))
-    steps = noise.shape[1]
-    for path in range(noise.shape[0]):
-        xs[0] = x
-        vs[0] = v
-        ds[0] = d
-        for k in range(steps):
-            i = k % 2
-            j = 1 - i
-            for c in range(2):
-                _add(total[k, c], xs[i, c])
-            step(
-                xs[i], vs[i], ds[i], u[k // substeps], noise[path, k], physics, a,
-                xs[j], vs[j], ds[j],
-            )  # fmt: skip
+    ds[0] = d
+    for c in range(2):
+        for i in range(n):
+            xs[0, c, i * LANES : (i + 1) * LANES] = x[c, i]
+            vs[0, c, i * LANES : (i + 1) * LANES] = v[c, i]
+    used = np.zeros(LANES)
+    used[:paths] = 1.0
+    for k in range(steps + 1):
+        here, there = k % 2, 1 - k % 2
         for c in range(2):
-            _add(total[steps, c], xs[steps % 2, c])
+            for i in range(n):
+                total[k, c, i] += _dot(xs[here, c, i * LANES : (i + 1) * LANES], used)
+        if k < steps:
+            acceleration_in_paths(xs[here], ds[here], physics, a)
+            step(
+                xs[here], vs[here], ds[here], u[k // substeps], a, noise[k], physics,
+                xs[there], vs[there], ds[there],
+            )  # fmt: skip
 
 
 @_kernel
@@ -307,14 +362,6 @@ def times(matrix: Array, x: Array, out: Array) -> None:
 
 
 @_kernel
-def _dot(x: Array, y: Array) -> float:
-    total = 0.0
-    for i in range(x.shape[0]):
-        total += x[i] * y[i]
-    return total
-
-
-@_kernel
 def transposed_times(matrix: Array, y: Array, out: Array) -> None:
     """Put y[m] matrix[m, n] in out[n]."""
     out[:] = 0.0
@@ -328,64 +375,49 @@ def _add_multiple(factor: float, x: Array, out: Array) -> None:
         out[i] += factor * x[i]
 
 
-@_kernel
-def _hessian_of_flock(
-    xi: float,
-    yi: float,
-    mu_xi: float,
-    mu_yi: float,
+@_inlined
+def _add_hessian(
+    hx: Array,
+    hy: Array,
     x: Array,
     y: Array,
     mu_x: Array,
     mu_y: Array,
-    n: int,
+    source_x: float,
+    source_y: float,
+    source_mu_x: float,
+    source_mu_y: float,
     p: MorseCoefficients,
-) -> tuple[float, float]:
-    """Sum over the n sheep of the Hessian of P(|x_i - x_j|) times (mu_i - mu_j)."""
-    sum_x = 0.0
-    sum_y = 0.0
-    for j in range(x.shape[0]):
-        sx = xi - x[j]
-        sy = yi - y[j]
-        wx = mu_xi - mu_x[j]
-        wy = mu_yi - mu_y[j]
+) -> None:
+    """Add to LANES entries of h the Hessian of P(|x_i - source|) times (mu_i - source_mu)."""
+    for i in range(LANES):
+        sx = x[i] - source_x
+        sy = y[i] - source_y
+        wx = mu_x[i] - source_mu_x
+        wy = mu_y[i] - source_mu_y
         a, b = hessian(sx * sx + sy * sy, p)
-        a = a if j < n else 0.0
-        b = b if j < n else 0.0
         b *= sx * wx + sy * wy
-        sum_x += a * wx + b * sx
-        sum_y += a * wy + b * sy
-    return sum_x, sum_y
+        hx[i] += a * wx + b * sx
+        hy[i] += a * wy + b * sy
 
 
 @_kernel
-def _subtract_hessian_of_dog(
-    lam_x: Array,
-    lam_y: Array,
+def _add_hessians(
+    hx: Array,
+    hy: Array,
     x: Array,
     y: Array,
     mu_x: Array,
     mu_y: Array,
-    dx: float,
-    dy: float,
-    dt: float,
+    xs: Array,
+    ys: Array,
+    mu_xs: Array,
+    mu_ys: Array,
     p: MorseCoefficients,
-) -> tuple[float, float]:
-    """Subtract dt times the Hessian of P(|x_i - d|) times mu_i from lam_i; return the sum."""
-    sum_x = 0.0
-    sum_y = 0.0
-    for i in range(x.shape[0]):
-        sx = x[i] - dx
-        sy = y[i] - dy
-        a, b = hessian(sx * sx + sy * sy, p)
-        b *= sx * mu_x[i] + sy * mu_y[i]
-        hx = dt * (a * mu_x[i] + b * sx)
-        hy = dt * (a * mu_y[i] + b * sy)
-        lam_x[i] -= hx
-        lam_y[i] -= hy
-        sum_x += hx
-        sum_y += hy
-    return sum_x, sum_y
+) -> None:
+    """Add the Hessians of all sources (xs, ys, mu_xs, mu_ys) to h of LANES sheep."""
+    for j in range(xs.shape[0]):
+        _add_hessian(hx, hy, x, y, mu_x, mu_y, xs[j], ys[j], mu_xs[j], mu_ys[j], p)
 
 
 @_kernel
@@ -401,28 +433,40 @@ def adjoint(
     n, dt, alpha = physics.n, physics.dt, physics.alpha
     steps = x.shape[0] - 1
     lam = source[steps].copy()
-    lam_next = np.zeros_like(lam)
     mu = np.zeros_like(lam)
     nu = np.zeros((2, d.shape[2]))
+    h = np.empty_like(lam)
+    h_dog = np.empty((2, LANES))
+    still = np.zeros(1)
     for k in range(steps - 1, -1, -1):
         for m in range(d.shape[2]):
             for c in range(2):
                 gradient[k // substeps, m, c] += dt * nu[c, m]
-        for i in range(n):
-            hx, hy = _hessian_of_flock(
-                x[k, 0, i], x[k, 1, i], mu[0, i], mu[1, i], x[k, 0], x[k, 1], mu[0], mu[1], n,
-                physics.sheep,
+        h[:] = 0.0
+        for i in range(0, x.shape[2], LANES):
+            xi, yi = x[k, 0, i : i + LANES], x[k, 1, i : i + LANES]
+            mu_xi, mu_yi = mu[0, i : i + LANES], mu[1, i : i + LANES]
+            hx, hy = h[0, i : i + LANES], h[1, i : i + LANES]
+            _add_hessians(
+                hx, hy, xi, yi, mu_xi, mu_yi,
+                x[k, 0, :n], x[k, 1, :n], mu[0, :n], mu[1, :n], physics.sheep,
             )  # fmt: skip
-            lam_next[0, i] = lam[0, i] + source[k, 0, i] - dt / n * hx
-            lam_next[1, i] = lam[1, i] + source[k, 1, i] - dt / n * hy
-        for m in range(d.shape[2]):
-            hx, hy = _subtract_hessian_of_dog(
-                lam_next[0], lam_next[1], x[k, 0], x[k, 1], mu[0], mu[1], d[k, 0, m], d[k, 1, m],
-                dt, physics.dog,
-            )  # fmt: skip
-            nu[0, m] += hx
-            nu[1, m] += hy
+            for m in range(d.shape[2]):
+                h_dog[:] = 0.0
+                _add_hessians(
+                    h_dog[0], h_dog[1], xi, yi, mu_xi, mu_yi,
+                    d[k, 0, m : m + 1], d[k, 1, m : m + 1], still, still, physics.dog,
+                )  # fmt: skip
+                for c in range(2):
+                    _add_multiple(1.0, h_dog[c], h[c, i : i + LANES])
+                    nu[c, m] += dt * _sum(h_dog[c])
         for c in range(2):
-            for i in range(n):
-                mu[c, i] = (1.0 - alpha * dt) * mu[c, i] + dt * lam[c, i]
-                lam[c, i] = lam_next[c, i]
+            _retreat(lam[c, :n], mu[c, :n], h[c, :n], source[k, c, :n], dt, alpha)
+
+
+@_kernel
+def _retreat(lam: Array, mu: Array, h: Array, source: Array, dt: float, alpha: float) -> None:
+    for i in range(lam.shape[0]):
+        mu_i = mu[i]
+        mu[i] = (1.0 - alpha * dt) * mu_i + dt * lam[i]
+        lam[i] += source[i] - dt * h[i]

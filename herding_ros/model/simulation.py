@@ -86,9 +86,7 @@ class Simulation:
         """
         world = self.world
         u = project(u, world.max_speed)
-        noise = increments(
-            self._process, self.crowd, world.sheep, world.dt, world.substeps, paths=1
-        )[0]
+        noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)
         trajectory = rollout(self.crowd, self.state, u[None], world.dt, world.substeps, noise)
         self.state = trajectory.at(-1)
         self.dog_velocities = u

@@ -7,8 +7,8 @@ import time
 import numpy as np
 
 from . import kernels
-from .dynamics import increments, physics, rollout
-from .ensemble import expected_positions
+from .dynamics import physics, rollout
+from .ensemble import expected_positions, noise_paths
 from .parameters import Crowd
 from .state import HerdState
 
@@ -19,7 +19,7 @@ def warm_up() -> float:
     crowd = Crowd()
     state = HerdState(np.eye(2), np.zeros((2, 2)), np.ones((1, 2)))
     u = np.zeros((1, 1, 2))
-    noise = increments(np.random.default_rng(0), crowd, 2, 0.01, 1, 1)
+    noise = noise_paths(np.random.default_rng(0), crowd, 2, 0.01, 1, 1)
     trajectory = rollout(crowd, state, u, 0.01)
     expected_positions(crowd, state, u, 0.01, 1, noise)
     source = np.zeros_like(trajectory.xs)

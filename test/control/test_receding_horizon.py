@@ -20,8 +20,8 @@ from herding_ros.control.solution import Status
 from herding_ros.control.space_mapping import aggressive
 from herding_ros.control.spg import spg
 from herding_ros.model.admissible import project
-from herding_ros.model.dynamics import increments, rollout
-from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.dynamics import rollout
+from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
@@ -46,7 +46,14 @@ def without_mapping(control: Control) -> Control:
     return dataclasses.replace(control, mapping=Mapping(max_iterations=0))
 
 
-def expected_centre(sigma: float, state: HerdState, plan: Plan, dt: float, noise: Array) -> Array:
+def draw(sigma: float, window: Window, n: int, paths: int, seed: int) -> NoisePaths:
+    rng, steps = np.random.default_rng(seed), len(window.centre) - 1
+    return noise_paths(rng, Crowd(noise=sigma), n, window.dt, steps, paths)
+
+
+def expected_centre(
+    sigma: float, state: HerdState, plan: Plan, dt: float, noise: NoisePaths
+) -> Array:
     substeps = round(plan.dt / dt)
     mean = expected_positions(Crowd(noise=sigma), state, plan.u, dt, substeps, noise)
     return mean.mean(axis=1)
@@ -121,11 +128,11 @@ def test_error_of_the_coarse_plan_is_that_of_the_paper() -> None:
     """The mean over six flocks; the paper has one, whose geometry it does not give."""
     errors: dict[float, list[float]] = {sigma: [] for sigma in TABLE_1}
     for seed in range(6):
-        state, rng = herd(30, 5, seed), np.random.default_rng(100 + seed)
+        state = herd(30, 5, seed)
         window = solved(0.0, without_mapping(PAPER), state)
-        noise = increments(rng, Crowd(noise=1.0), 30, window.dt, len(window.centre) - 1, 100)
         for sigma, found in errors.items():
-            centre = expected_centre(sigma, state, window.plan, window.dt, sigma * noise)
+            noise = draw(sigma, window, 30, 100, 100 + seed)
+            centre = expected_centre(sigma, state, window.plan, window.dt, noise)
             found.append(l2(centre - window.centre, window.dt))
     for sigma, published in TABLE_1.items():
         assert published / 1.5 < np.mean(errors[sigma]) < published * 1.5
@@ -138,9 +145,7 @@ def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
     control = dataclasses.replace(SMALL, mapping=mapping)
     window = solved(sigma, control, state, seed=5)
     coarse = solved(sigma, without_mapping(control), state, seed=5)
-    noise = increments(
-        np.random.default_rng(5), Crowd(noise=sigma), 9, window.dt, len(window.centre) - 1, 20
-    )
+    noise = draw(sigma, window, 9, 20, 5)
     before, after = (
         expected_centre(sigma, state, each.plan, window.dt, noise) for each in (coarse, window)
     )
@@ -185,7 +190,7 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
     found = RecedingHorizon(crowd, control, GOAL, seed).solve(state, 0.0)
     u_coarse = solved(0.03, without_mapping(control), state).plan.u
     coarse = CoarseModel(crowd, state, found.dt, control.horizon.substeps)
-    noise = increments(np.random.default_rng(seed), crowd, 9, found.dt, len(found.centre) - 1, 20)
+    noise = draw(0.03, found, 9, 20, seed)
     admissible = partial(project, max_speed=control.max_speed)
 
     def fine(u: Array) -> Array:

@@ -130,7 +130,7 @@ def test_rollout_is_euler_maruyama(
     crowd, state = dataclasses.replace(CROWDS[preset], noise=0.05), random_herd(n, m)
     rng = np.random.default_rng(1)
     u, dt, steps = rng.normal(0.0, 0.1, (6, m, 2)), 0.02, 6 * substeps
-    noise = increments(rng, crowd, n, dt, steps, 1)[0]
+    noise = increments(rng, crowd, n, dt, steps)
     found = rollout(crowd, state, u, dt, substeps, noise)
     real_noise = noise[:, :, :n].transpose(0, 2, 1)
     x, v, d = slow_rollout(crowd, state, np.repeat(u, substeps, axis=0), dt, real_noise)
@@ -141,7 +141,7 @@ def test_rollout_is_euler_maruyama(
 
 def test_without_noise_the_fine_model_is_the_coarse_one(random_herd: HerdMaker) -> None:
     state, u = random_herd(9, 2), np.full((50, 2, 2), 0.03)
-    noise = increments(np.random.default_rng(0), QUIET, 9, 0.01, 50, 1)[0]
+    noise = increments(np.random.default_rng(0), QUIET, 9, 0.01, 50)
     fine, coarse = (rollout(QUIET, state, u, 0.01, 1, each) for each in (noise, None))
     np.testing.assert_array_equal(fine.x, coarse.x)
     np.testing.assert_array_equal(fine.v, coarse.v)
@@ -149,8 +149,8 @@ def test_without_noise_the_fine_model_is_the_coarse_one(random_herd: HerdMaker) 
 
 def test_increments_are_brownian() -> None:
     crowd, dt = Crowd(noise=0.3), 0.04
-    noise = increments(np.random.default_rng(2), crowd, 5, dt, 200, 100)
-    assert noise.shape == (100, 200, 2, lanes(5))
+    noise = increments(np.random.default_rng(2), crowd, 5, dt, 20_000)
+    assert noise.shape == (20_000, 2, lanes(5))
     assert not noise[..., 5:].any()
     drawn = noise[..., :5].reshape(-1, 10) / (0.3 * math.sqrt(dt))
     samples = drawn.size
@@ -162,7 +162,7 @@ def test_increments_are_brownian() -> None:
 
 def test_increments_follow_from_the_seed() -> None:
     one, same, other = (
-        increments(np.random.default_rng(seed), Crowd(), 3, 0.1, 4, 2) for seed in (5, 5, 6)
+        increments(np.random.default_rng(seed), Crowd(), 3, 0.1, 4) for seed in (5, 5, 6)
     )
     np.testing.assert_array_equal(one, same)
     assert (one != other)[..., :3].all()
@@ -202,7 +202,7 @@ def test_free_sheep_follow_the_ornstein_uhlenbeck_law() -> None:
     start = HerdState(np.tile(x0, (n, 1)), np.tile(v0, (n, 1)), np.zeros((1, 2)))
     rng, dt, stand = np.random.default_rng(7), t / steps, np.zeros((1, 1, 2))
     ends = [
-        rollout(crowd, start, stand, dt, steps, increments(rng, crowd, n, dt, steps, 1)[0]).at(-1)
+        rollout(crowd, start, stand, dt, steps, increments(rng, crowd, n, dt, steps)).at(-1)
         for _ in range(paths)
     ]
     x, v = np.concatenate([e.x for e in ends]), np.concatenate([e.v for e in ends])
@@ -235,7 +235,7 @@ def test_rollout_commutes_with_moving_the_world(random_herd: HerdMaker, preset: 
     crowd, state, angle = CROWDS[preset], random_herd(11, 3), 2.1
     rng = np.random.default_rng(0)
     u, shift = rng.normal(0.0, 0.05, (100, 3, 2)), np.array([3.0, -1.5])
-    noise = increments(rng, crowd, 11, 0.01, 100, 1)[0]
+    noise = increments(rng, crowd, 11, 0.01, 100)
     turned_noise = np.zeros_like(noise)
     turned_noise[:, :, :11] = rotated(noise[:, :, :11].transpose(0, 2, 1), angle).transpose(
         0, 2, 1
