@@ -1,4 +1,4 @@
-"""Nonlinear least squares over a convex set, with a linearisation that is made once."""
+"""Nonlinear least squares over a convex set."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from herding_ros.model.state import Array
 
-from .solution import criticality, InnerProduct, Projection, Solution, Status
+from .solution import criticality, InnerProduct, Projection, Solution, Status, ValueAndGradient
 from .spg import spg
 
-_INNER_TOLERANCE = 1e-6
+_INNER_TOLERANCE = 1e-5
 _INNER_ITERATIONS = 100
 
 
@@ -29,7 +29,7 @@ class Linearisation(Protocol):
 
 def gauss_newton(
     residual: Callable[[Array], Array],
-    linearisation: Linearisation,
+    linearise: Callable[[Array], Linearisation],
     anchor: Array,
     weight: float,
     project: Projection,
@@ -40,10 +40,10 @@ def gauss_newton(
 ) -> Solution:
     """Minimise |residual(u)|^2 / 2 + weight / 2 |u - anchor|^2 over a convex set.
 
-    Each iteration replaces the residual by r(u_k) + S (u - u_k), with S the same
-    linearisation throughout, and minimises that over the set by `spg`, which costs no
-    residual. Converged when a step is at most `tolerance` long; ends when the value does not
-    decrease any more. `Solution.calls` counts residuals.
+    Each iteration replaces the residual by r(u_k) + S (u - u_k), with S = linearise(u_k), and
+    minimises that over the set by `spg`, which costs no residual. Converged when a step is at
+    most `tolerance` long; ends when the value does not decrease any more. `Solution.calls`
+    counts residuals. Where the residual can be made small, S may be one for all u, made once.
     """
     u = project(start)
     r = residual(u)
@@ -52,12 +52,7 @@ def gauss_newton(
     iterations = 0
     while iterations < max_iterations:
         iterations += 1
-
-        def model(w: Array, u: Array = u, r: Array = r) -> tuple[float, Array]:
-            e = r + linearisation.times(w - u)
-            gradient = linearisation.transposed(e) + weight * (w - anchor)
-            return _value(e, w, anchor, weight, inner), gradient
-
+        model = _linear_model(r, linearise(u), u, anchor, weight, inner)
         trial = spg(model, project, u, inner, _INNER_TOLERANCE, _INNER_ITERATIONS).u
         trial_residual = residual(trial)
         trial_value = _value(trial_residual, trial, anchor, weight, inner)
@@ -69,9 +64,22 @@ def gauss_newton(
         if math.sqrt(inner(step, step)) <= tolerance:
             status = Status.CONVERGED
             break
-    gradient = linearisation.transposed(r) + weight * (u - anchor)
+    gradient = linearise(u).transposed(r) + weight * (u - anchor)
     distance = criticality(project, u, gradient, inner)
     return Solution(u, value, distance, status, iterations, iterations + 1)
+
+
+def _linear_model(
+    r: Array, s: Linearisation, u: Array, anchor: Array, weight: float, inner: InnerProduct
+) -> ValueAndGradient:
+    """Return |r + S (w - u)|^2 / 2 + weight / 2 |w - anchor|^2 as a function of w."""
+
+    def model(w: Array) -> tuple[float, Array]:
+        e = r + s.times(w - u)
+        gradient = s.transposed(e) + weight * (w - anchor)
+        return _value(e, w, anchor, weight, inner), gradient
+
+    return model
 
 
 def _value(r: Array, u: Array, anchor: Array, weight: float, inner: InnerProduct) -> float:

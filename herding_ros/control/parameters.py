@@ -77,7 +77,7 @@ class Optimiser(Parameters):
         choices=('spg', 'ncg'),
     )
     tolerance: float = quantity(
-        5e-3,
+        1e-2,
         'length of the last step (ncg) or of the projected gradient (spg)',
         'm/s^0.5',
         low=0.0,
@@ -133,6 +133,7 @@ class Control(Parameters):
 PAPER = Control(
     weights=Weights(centre=1.0, spread=1.0),
     reference=Reference(kind='interpolated'),
+    optimiser=Optimiser(tolerance=5e-3),
     mapping=Mapping(method='aggressive'),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 import time
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from .plan import Plan
 from .solution import Solution, Status
 from .space_mapping import MappingResult
 from .spg import spg
+
+_T = TypeVar('_T')
 
 _OPTIMISERS = {'spg': spg, 'ncg': ncg}
 
@@ -48,7 +51,9 @@ class SolveReport:
     gradient_norm: float
     optimiser_iterations: int
     optimiser_calls: int
-    """Evaluations of value and gradient."""
+    """Evaluations of value and gradient in the coarse solve, on both time grids."""
+    fine_calls: int
+    """Monte Carlo evaluations of the fine model, each of all paths."""
     extraction_calls: int
     """Rollouts of the coarse model in parameter extraction."""
     mapping_status: Status
@@ -157,6 +162,7 @@ class RecedingHorizon:
             gradient_norm=solution.gradient_norm,
             optimiser_iterations=solution.iterations,
             optimiser_calls=solution.calls,
+            fine_calls=len(mapping.misfits),
             extraction_calls=extractions,
             mapping_status=mapping.status,
             mapping_iterations=mapping.iterations,
@@ -168,22 +174,35 @@ class RecedingHorizon:
         return Window(plan, report, horizon.dt, mapping.output, coarse.rollout(plan.u).d)
 
     def _solve_coarse(self, coarse: CoarseModel, t: float) -> Solution:
-        """Minimise the cost of the window without noise, from the last plan on."""
+        """Minimise the cost of the window without noise, from the last plan on.
+
+        Most of the way is done on the control's own time grid, where a step is cheaper.
+        """
         horizon, weights = self.control.horizon, self.control.weights
-        times = np.arange(horizon.intervals * horizon.substeps + 1.0) * horizon.dt
-        u = np.zeros((horizon.intervals, len(coarse.state.d), 2))
-        objective = Objective(
-            weights.centre,
-            weights.spread,
-            weights.control,
-            reference(self.control.reference, centre(coarse.state.x), self.goal, times),
-            u,
-        )
+        u = no_control = np.zeros((horizon.intervals, len(coarse.state.d), 2))
         if self._last is not None and self._last.u.shape == u.shape:
             u = self._last.shifted(t).u
-        return self._optimise(coarse, objective, u)
+        solutions = []
+        limit = self.control.optimiser.max_iterations
+        for substeps in sorted({1, coarse.substeps}):
+            model = replace(coarse, dt=coarse.interval / substeps, substeps=substeps)
+            times = np.arange(horizon.intervals * substeps + 1.0) * model.dt
+            route = reference(self.control.reference, centre(coarse.state.x), self.goal, times)
+            objective = Objective(
+                weights.centre, weights.spread, weights.control, route, no_control
+            )
+            solutions.append(self._optimise(model, objective, u, limit))
+            u = solutions[-1].u
+            limit = -(-limit // 3)
+        return replace(
+            solutions[-1],
+            iterations=sum(each.iterations for each in solutions),
+            calls=sum(each.calls for each in solutions),
+        )
 
-    def _optimise(self, coarse: CoarseModel, objective: Objective, start: Array) -> Solution:
+    def _optimise(
+        self, coarse: CoarseModel, objective: Objective, start: Array, max_iterations: int
+    ) -> Solution:
         optimiser = self.control.optimiser
         return _OPTIMISERS[optimiser.method](
             partial(coarse.value_and_gradient, objective),
@@ -191,7 +210,7 @@ class RecedingHorizon:
             start,
             coarse.inner,
             optimiser.tolerance,
-            optimiser.max_iterations,
+            max_iterations,
         )
 
     def _admissible(self, u: Array) -> Array:
@@ -204,7 +223,7 @@ class RecedingHorizon:
         horizon, mapping = self.control.horizon, self.control.mapping
         gamma = self.control.weights.control
         noise = self._common_noise(len(coarse.state.x), len(wanted) - 1)
-        sensitivity: list[CentreSensitivity] = []
+        every = max(round(_NODE_SPACING / horizon.dt), 1)
         calls = 0
 
         def fine(u: Array) -> Array:
@@ -214,20 +233,28 @@ class RecedingHorizon:
                 )
                 return centre(mean)
 
+        @_remembering
         def coarse_centre(u: Array) -> Array:
             return centre(coarse.rollout(u).x)
 
-        def match(target: Array, start: Array, anchor: Array, weight: float) -> Array:
+        @_remembering
+        def sensitivity(u: Array) -> CentreSensitivity:
+            return coarse.centre_sensitivity(u, every)
+
+        def match(
+            target: Array,
+            start: Array,
+            anchor: Array,
+            weight: float,
+            linearise: Callable[[Array], CentreSensitivity],
+        ) -> Array:
             """Admissible control near the anchor under which the coarse centre is at target."""
             nonlocal calls
             with clock.phase('extraction'):
-                if not sensitivity:
-                    every = max(round(_NODE_SPACING / horizon.dt), 1)
-                    sensitivity.append(coarse.centre_sensitivity(u_coarse, every))
-                linear = sensitivity[0]
+                linear = linearise(start)
                 found = gauss_newton(
                     lambda u: linear.residual(coarse_centre(u) - target),
-                    linear,
+                    linearise,
                     anchor,
                     weight,
                     self._admissible,
@@ -243,7 +270,8 @@ class RecedingHorizon:
             nonlocal calls
             with clock.phase('extraction'):
                 objective = Objective(1.0, 1.0, gamma, target, u_coarse)
-                found = self._optimise(coarse, objective, start)
+                limit = self.control.optimiser.max_iterations
+                found = self._optimise(coarse, objective, start, limit)
                 calls += found.calls
                 return found.u
 
@@ -254,7 +282,10 @@ class RecedingHorizon:
             result = space_mapping.output(
                 fine,
                 coarse_centre,
-                lambda target, u, damping: match(target, u, u, damping),
+                # One linearisation for all: what it misses is corrected like any other defect.
+                lambda target, u, damping: match(
+                    target, u, u, damping, lambda _: sensitivity(u_coarse)
+                ),
                 misfit,
                 u_coarse,
                 gamma,
@@ -266,7 +297,7 @@ class RecedingHorizon:
                 fine,
                 match_individuals
                 if mapping.observable == 'individuals'
-                else lambda target, start: match(target, start, u_coarse, gamma),
+                else lambda target, start: match(target, start, u_coarse, gamma, sensitivity),
                 misfit,
                 self._admissible,
                 u_coarse,
@@ -284,6 +315,19 @@ class RecedingHorizon:
             self._noise = noise_paths(rng, self.crowd, n, dt, steps, paths)
             self._noise_sheep = n
         return self._noise
+
+
+def _remembering(function: Callable[[Array], _T]) -> Callable[[Array], _T]:
+    """Return the same function, which computes nothing twice."""
+    seen: dict[bytes, _T] = {}
+
+    def remembered(u: Array) -> _T:
+        key = u.tobytes()
+        if key not in seen:
+            seen[key] = function(u)
+        return seen[key]
+
+    return remembered
 
 
 class _Stopwatch:

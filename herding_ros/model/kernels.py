@@ -470,3 +470,94 @@ def _retreat(lam: Array, mu: Array, h: Array, source: Array, dt: float, alpha: f
         mu_i = mu[i]
         mu[i] = (1.0 - alpha * dt) * mu_i + dt * lam[i]
         lam[i] += source[i] - dt * h[i]
+
+
+@_kernel
+def _hessians_at(
+    source_x: float, source_y: float, x: Array, y: Array, p: MorseCoefficients,
+    xx: Array, xy: Array, yy: Array,
+) -> None:  # fmt: skip
+    for i in range(x.shape[0]):
+        sx = x[i] - source_x
+        sy = y[i] - source_y
+        a, b = hessian(sx * sx + sy * sy, p)
+        xx[i] = a + b * sx * sx
+        xy[i] = b * sx * sy
+        yy[i] = a + b * sy * sy
+
+
+@_kernel
+def _hessians(sources: Array, x: Array, p: MorseCoefficients, out: Array) -> None:
+    """Put xx, xy and yy of the Hessians of P(|x_i - source_j|) in out[j, 3, i]."""
+    for j in range(sources.shape[1]):
+        _hessians_at(sources[0, j], sources[1, j], x[0], x[1], p, out[j, 0], out[j, 1], out[j, 2])
+
+
+@_inlined
+def _add_hessian_of_pair(
+    hx: Array, hy: Array, mu_x: Array, mu_y: Array, i: int, j: int, xx: float, xy: float, yy: float
+) -> None:
+    """Add a Hessian times (mu_i - mu_j) to h_i, and its opposite to h_j, in LANES sweeps."""
+    for k in range(LANES):
+        wx = mu_x[i + k] - mu_x[j + k]
+        wy = mu_y[i + k] - mu_y[j + k]
+        gx = xx * wx + xy * wy
+        gy = xy * wx + yy * wy
+        hx[i + k] += gx
+        hy[i + k] += gy
+        hx[j + k] -= gx
+        hy[j + k] -= gy
+
+
+@_kernel
+def _add_hessians_of_pairs(
+    hx: Array, hy: Array, mu_x: Array, mu_y: Array, n: int, flock: Array, dog: Array
+) -> None:
+    """Add all Hessians times the differences of mu[(n + M) * LANES] to h.
+
+    flock[n, 3, lanes] and dog[M, 3, lanes] are from `_hessians`. Dogs come after the sheep.
+    """
+    for i in range(n):
+        for j in range(i):
+            xx, xy, yy = flock[i, 0, j], flock[i, 1, j], flock[i, 2, j]
+            _add_hessian_of_pair(hx, hy, mu_x, mu_y, i * LANES, j * LANES, xx, xy, yy)
+        for m in range(dog.shape[0]):
+            xx, xy, yy = dog[m, 0, i], dog[m, 1, i], dog[m, 2, i]
+            _add_hessian_of_pair(hx, hy, mu_x, mu_y, i * LANES, (n + m) * LANES, xx, xy, yy)
+
+
+@_kernel
+def centre_adjoints(
+    x: Array, d: Array, nodes: Array, substeps: int, physics: Physics, gradients: Array
+) -> None:
+    """Do LANES reverse sweeps at once, each as `adjoint` does: for the centre at some steps.
+
+    Lane 2 q + c is for coordinate c of the sheep's centre at step nodes[q] >= 1, with
+    LANES / 2 nodes; zeros fill up. Adds the derivatives with respect to the control to
+    gradients[intervals, 2, M * LANES].
+    """
+    n, dt, alpha = physics.n, physics.dt, physics.alpha
+    flock = np.empty((n, 3, x.shape[2]))
+    dog = np.empty((d.shape[2], 3, x.shape[2]))
+    # Sheep, then dogs, whose mu is zero: velocities do not depend on the controls.
+    sheep = n * LANES
+    lam = np.zeros((2, sheep))
+    no_source = np.zeros(sheep)
+    mu = np.zeros((2, sheep + d.shape[2] * LANES))
+    h = np.empty_like(mu)
+    nu = np.zeros((2, d.shape[2] * LANES))
+    last = nodes.max()
+    for k in range(last, -1, -1):
+        if k < last:
+            _hessians(x[k, :, :n], x[k], physics.sheep, flock)
+            _hessians(d[k], x[k], physics.dog, dog)
+            h[:] = 0.0
+            _add_hessians_of_pairs(h[0], h[1], mu[0], mu[1], n, flock, dog)
+            for c in range(2):
+                _add_multiple(dt, nu[c], gradients[k // substeps, c])
+                _add_multiple(-dt, h[c, sheep:], nu[c])
+                _retreat(lam[c], mu[c, :sheep], h[c, :sheep], no_source, dt, alpha)
+        for q in range(nodes.shape[0]):
+            if nodes[q] == k:
+                for c in range(2):
+                    lam[c, 2 * q + c :: LANES] += 1.0 / n

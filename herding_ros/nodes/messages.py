@@ -202,6 +202,7 @@ def report_values(report: SolveReport) -> dict[str, object]:
         'gradient_norm': report.gradient_norm,
         'optimiser_iterations': report.optimiser_iterations,
         'optimiser_calls': report.optimiser_calls,
+        'fine_calls': report.fine_calls,
         'extraction_calls': report.extraction_calls,
         'mapping_status': report.mapping_status.value,
         'mapping_iterations': report.mapping_iterations,

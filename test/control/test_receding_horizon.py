@@ -204,7 +204,7 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
         fine, extract, lambda output: 0.0, admissible, u_coarse, coarse.inner, 0.0, -1e9, 2
     )
     assert found.report.mapping_iterations == 2
-    np.testing.assert_allclose(found.report.mapping_residuals, expected.residuals, rtol=0.08)
+    np.testing.assert_allclose(found.report.mapping_residuals, expected.residuals, rtol=0.05)
 
 
 def test_seconds_are_accounted_for() -> None:

@@ -83,4 +83,4 @@ def test_forces_at_zero_distance_are_zero(p: Morse) -> None:
 
 
 def test_lanes_are_the_next_whole_vector() -> None:
-    assert [kernels.lanes(n) for n in (1, 15, 16, 17, 30, 33)] == [16, 16, 16, 32, 32, 48]
+    assert [kernels.lanes(n) for n in (1, 7, 8, 9, 16, 17, 30)] == [8, 8, 8, 16, 16, 24, 32]
