@@ -64,18 +64,18 @@ class CoarseModel:
         """
         trajectory = self.rollout(u)
         nodes = np.arange(every, len(trajectory.xs), every)
-        at_once = kernels.LANES // 2
+        at_once = kernels.PATHS // 2
         blocks = np.zeros((-(-len(nodes) // at_once), at_once), dtype=np.int_)
         blocks.flat[: len(nodes)] = nodes
         constants = physics(self.crowd, trajectory.n, self.dt)
         intervals, dogs, _ = u.shape
 
         def sweep(block: NDArray[np.int_]) -> Array:
-            rows = np.zeros((intervals, 2, dogs * kernels.LANES))
+            rows = np.zeros((intervals, 2, dogs * kernels.PATHS))
             kernels.centre_adjoints(
                 trajectory.xs, trajectory.ds, block, self.substeps, constants, rows
             )
-            return rows.reshape(intervals, 2, dogs, kernels.LANES).transpose(3, 0, 2, 1)
+            return rows.reshape(intervals, 2, dogs, kernels.PATHS).transpose(3, 0, 2, 1)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             rows = np.concatenate(list(pool.map(sweep, blocks)))[: 2 * len(nodes)]

@@ -41,7 +41,9 @@ def forces(crowd: Crowd, x: Array, d: Array) -> Array:
     """Interaction forces (N, 2) [m/s^2] on sheep at x (N, 2) [m] from each other and dogs d."""
     lanes = to_lanes(x)
     out = np.empty_like(lanes)
-    kernels.acceleration(lanes, np.ascontiguousarray(d.T), physics(crowd, len(x), 1.0), out)
+    ring = np.zeros((2, 2, 2 * lanes.shape[1]))
+    constants = physics(crowd, len(x), 1.0)
+    kernels.acceleration(lanes, np.ascontiguousarray(d.T), constants, ring, out)
     return out[:, : len(x)].T
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from . import kernels
 from .dynamics import check_control, physics, to_lanes
-from .kernels import LANES
+from .kernels import PATHS
 from .parameters import Crowd
 from .state import Array, HerdState
 
@@ -19,7 +19,7 @@ from .state import Array, HerdState
 class NoisePaths:
     """Noise sigma dB of many paths, as the kernels want it.
 
-    blocks (blocks, K, 2, n * LANES) [m/s]: LANES paths are integrated at once, those of a
+    blocks (blocks, K, 2, n * PATHS) [m/s]: PATHS paths are integrated at once, those of a
     sheep side by side. The last block may hold more than is used: `paths` counts.
     """
 
@@ -28,8 +28,8 @@ class NoisePaths:
 
     def path(self, i: int) -> Array:
         """Return the noise of path i as `rollout` wants it, (K, 2, lanes) [m/s]."""
-        block, lane = divmod(range(self.paths)[i], LANES)
-        values = self.blocks[block, :, :, lane::LANES]
+        block, lane = divmod(range(self.paths)[i], PATHS)
+        values = self.blocks[block, :, :, lane::PATHS]
         out = np.zeros((*values.shape[:2], kernels.lanes(values.shape[2])))
         out[:, :, : values.shape[2]] = values
         return out
@@ -39,7 +39,7 @@ def noise_paths(
     rng: np.random.Generator, crowd: Crowd, n: int, dt: float, steps: int, paths: int
 ) -> NoisePaths:
     """Draw sigma dB for n sheep and K = steps of dt [s], with dB ~ N(0, dt) each."""
-    blocks = rng.standard_normal((-(-paths // LANES), steps, 2, n * LANES))
+    blocks = rng.standard_normal((-(-paths // PATHS), steps, 2, n * PATHS))
     blocks *= crowd.noise * np.sqrt(dt)
     return NoisePaths(paths, blocks)
 
@@ -63,7 +63,7 @@ def expected_positions(
     n, m = len(state.x), len(state.d)
     u = check_control(u, m)
     steps = len(u) * substeps
-    shape = (-(-noise.paths // LANES), steps, 2, n * LANES)
+    shape = (-(-noise.paths // PATHS), steps, 2, n * PATHS)
     if noise.blocks.shape != shape or noise.paths < 1:
         raise ValueError(
             f'{noise.paths} paths of noise have shape {noise.blocks.shape}, allowed is {shape} '
@@ -74,7 +74,7 @@ def expected_positions(
 
     def sum_of_block(block: int) -> Array:
         total = np.zeros((steps + 1, 2, n))
-        used = min(noise.paths - block * LANES, LANES)
+        used = min(noise.paths - block * PATHS, PATHS)
         kernels.add_paths(total, x, v, d, u, substeps, noise.blocks[block], used, constants)
         return total
 

@@ -19,11 +19,14 @@ import numpy as np
 
 from .state import Array
 
-LANES = 16
-"""Sheep are padded to a multiple of this: two AVX-512 registers of doubles, four of AVX2.
+LANES = 8
+"""Sheep are padded to a multiple of this: one AVX-512 register of doubles, two of AVX2."""
 
-Loops over so many lanes have a fixed length that the compiler sees. With 8 it would unroll
-them before it vectorises.
+PATHS = 16
+"""Paths, or reverse sweeps, that are done at once, side by side in memory.
+
+Loops over them have a fixed length that the compiler sees. With 8 it would unroll them before
+it vectorises.
 """
 
 # 'reassoc' lets the compiler sum rows in vector registers, 'contract' lets it fuse
@@ -63,6 +66,7 @@ _UNDERFLOW = -700.0
 _ROUNDING = 1.5 * 2.0**52
 
 
+@_inlined
 def lanes(n: int) -> int:
     """Return the padded number of lanes for n sheep."""
     return -(-n // LANES) * LANES
@@ -124,43 +128,107 @@ def hessian(r2: float, p: MorseCoefficients) -> tuple[float, float]:
 
 
 @_inlined
-def _subtract_pull(
+def _exchange_pulls(
     ax: Array,
     ay: Array,
+    bx: Array,
+    by: Array,
     x: Array,
     y: Array,
-    source_x: float,
-    source_y: float,
+    xs: Array,
+    ys: Array,
+    count: int,
     p: MorseCoefficients,
 ) -> None:
-    """Subtract from LANES accelerations the gradient of P(|x_i - source|)."""
-    for i in range(LANES):
-        sx = x[i] - source_x
-        sy = y[i] - source_y
+    """Subtract the gradients of P(|x_i - xs_i|) from a_i and add them to b_i, for i < count."""
+    for i in range(x.shape[0]):
+        sx = x[i] - xs[i]
+        sy = y[i] - ys[i]
+        a = slope_over_r(sx * sx + sy * sy, p)
+        a = a if i < count else 0.0
+        ax[i] -= a * sx
+        ay[i] -= a * sy
+        bx[i] += a * sx
+        by[i] += a * sy
+
+
+@_kernel
+def _pull_round(
+    ax: Array,
+    ay: Array,
+    bx: Array,
+    by: Array,
+    x: Array,
+    y: Array,
+    xs: Array,
+    ys: Array,
+    n: int,
+    p: MorseCoefficients,
+) -> None:
+    for s in range(1, n // 2 + 1):
+        count = n if 2 * s < n else s  # half-way round, one pull of two
+        m = lanes(count)
+        _exchange_pulls(
+            ax[:m], ay[:m], bx[s : s + m], by[s : s + m],
+            x[:m], y[:m], xs[s : s + m], ys[s : s + m], count, p,
+        )  # fmt: skip
+
+
+@_inlined
+def _subtract_pull_of_dog(
+    ax: Array, ay: Array, x: Array, y: Array, dx: float, dy: float, p: MorseCoefficients
+) -> None:
+    """Subtract from each sheep's acceleration the gradient of P(|x_i - d|)."""
+    for i in range(x.shape[0]):
+        sx = x[i] - dx
+        sy = y[i] - dy
         a = slope_over_r(sx * sx + sy * sy, p)
         ax[i] -= a * sx
         ay[i] -= a * sy
 
 
 @_kernel
-def _subtract_pulls(
-    ax: Array, ay: Array, x: Array, y: Array, xs: Array, ys: Array, p: MorseCoefficients
+def _subtract_pulls_of_dogs(
+    ax: Array, ay: Array, x: Array, y: Array, d: Array, p: MorseCoefficients
 ) -> None:
-    """Subtract the pull of all sources (xs, ys) from the accelerations of LANES sheep."""
-    for j in range(xs.shape[0]):
-        _subtract_pull(ax, ay, x, y, xs[j], ys[j], p)
+    for m in range(d.shape[1]):
+        _subtract_pull_of_dog(ax, ay, x, y, d[0, m], d[1, m], p)
 
 
 @_kernel
-def acceleration(x: Array, d: Array, physics: Physics, out: Array) -> None:
-    """Put the interaction forces on the sheep (paper, state system, no friction) in out."""
+def _repeat(x: Array, n: int, out: Array) -> None:
+    """Put x[2, :n], twice one after the other, in out[2, :]."""
+    for c in range(2):
+        out[c, :n] = x[c, :n]
+        out[c, n : 2 * n] = x[c, :n]
+
+
+@_kernel
+def _fold(b: Array, n: int, out: Array) -> None:
+    """Add b[2, :2 n], laid over itself after n, to out[2, :n]."""
+    for c in range(2):
+        for i in range(n):
+            out[c, i] += b[c, i] + b[c, n + i]
+
+
+@_kernel
+def acceleration(x: Array, d: Array, physics: Physics, ring: Array, out: Array) -> None:
+    """Put the interaction forces on the sheep (paper, state system, no friction) in out.
+
+    Action and reaction are opposite, so each pair needs a single look: think of the sheep in a
+    ring, and let everyone pull at the next, the second next, ... up to half-way round.
+    ring[2, 2, 2 lanes] is scratch.
+    """
     n = physics.n
     out[:] = 0.0
-    for i in range(0, x.shape[1], LANES):
-        ax, ay = out[0, i : i + LANES], out[1, i : i + LANES]
-        xi, yi = x[0, i : i + LANES], x[1, i : i + LANES]
-        _subtract_pulls(ax, ay, xi, yi, x[0, :n], x[1, :n], physics.sheep)
-        _subtract_pulls(ax, ay, xi, yi, d[0], d[1], physics.dog)
+    twice, reaction = ring[0], ring[1]
+    _repeat(x, n, twice)
+    reaction[:] = 0.0
+    _pull_round(
+        out[0], out[1], reaction[0], reaction[1], x[0], x[1], twice[0], twice[1], n, physics.sheep
+    )
+    _fold(reaction, n, out)
+    _subtract_pulls_of_dogs(out[0], out[1], x[0], x[1], d, physics.dog)
     out[:, n:] = 0.0
 
 
@@ -168,8 +236,8 @@ def acceleration(x: Array, d: Array, physics: Physics, out: Array) -> None:
 def _subtract_pull_of_pair(
     ax: Array, ay: Array, x: Array, y: Array, i: int, j: int, p: MorseCoefficients
 ) -> None:
-    """Subtract the gradient of P(|x_i - x_j|) from both accelerations, in LANES paths."""
-    for path in range(LANES):
+    """Subtract the gradient of P(|x_i - x_j|) from both accelerations, in PATHS paths."""
+    for path in range(PATHS):
         sx = x[i + path] - x[j + path]
         sy = y[i + path] - y[j + path]
         a = slope_over_r(sx * sx + sy * sy, p)
@@ -181,18 +249,16 @@ def _subtract_pull_of_pair(
 
 @_kernel
 def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> None:
-    """Do what `acceleration` does for LANES paths at once: x, out[2, n * LANES].
+    """Do what `acceleration` does for PATHS paths at once: x, out[2, n * PATHS].
 
     The paths of a sheep lie side by side, so that a vector unit takes the same pair in many
     paths. Then each pair needs a single look: action and reaction are opposite.
     """
     out[:] = 0.0
-    for i in range(0, x.shape[1], LANES):
-        for j in range(0, i, LANES):
+    for i in range(0, x.shape[1], PATHS):
+        for j in range(0, i, PATHS):
             _subtract_pull_of_pair(out[0], out[1], x[0], x[1], i, j, physics.sheep)
-        ax, ay = out[0, i : i + LANES], out[1, i : i + LANES]
-        xi, yi = x[0, i : i + LANES], x[1, i : i + LANES]
-        _subtract_pulls(ax, ay, xi, yi, d[0], d[1], physics.dog)
+    _subtract_pulls_of_dogs(out[0], out[1], x[0], x[1], d, physics.dog)
 
 
 @_kernel
@@ -237,8 +303,9 @@ def rollout(
 ) -> None:
     """Fill x[K+1, 2, lanes], v, d[K+1, 2, M] from their first entries; noise[K, 2, lanes]."""
     a = np.empty_like(x[0])
+    ring = np.zeros((2, 2, 2 * x.shape[2]))
     for k in range(noise.shape[0]):
-        acceleration(x[k], d[k], physics, a)
+        acceleration(x[k], d[k], physics, ring, a)
         step(
             x[k], v[k], d[k], u[k // substeps], a, noise[k], physics, x[k + 1], v[k + 1], d[k + 1]
         )
@@ -264,29 +331,29 @@ def add_paths(
     paths: int,
     physics: Physics,
 ) -> None:
-    """Add the positions in the first `paths` of LANES paths to total[K+1, 2, n].
+    """Add the positions in the first `paths` of PATHS paths to total[K+1, 2, n].
 
-    noise[K, 2, n * LANES], a sheep's paths side by side. All paths start from x[2, lanes], v,
+    noise[K, 2, n * PATHS], a sheep's paths side by side. All paths start from x[2, lanes], v,
     d[2, M]. No trajectory is stored.
     """
     n, steps = physics.n, noise.shape[0]
-    a = np.empty((2, n * LANES))
+    a = np.empty((2, n * PATHS))
     # Two states, the present one and the next, take turns.
-    xs = np.empty((2, 2, n * LANES))
-    vs = np.empty((2, 2, n * LANES))
+    xs = np.empty((2, 2, n * PATHS))
+    vs = np.empty((2, 2, n * PATHS))
     ds = np.empty((2, 2, d.shape[1]))
     ds[0] = d
     for c in range(2):
         for i in range(n):
-            xs[0, c, i * LANES : (i + 1) * LANES] = x[c, i]
-            vs[0, c, i * LANES : (i + 1) * LANES] = v[c, i]
-    used = np.zeros(LANES)
+            xs[0, c, i * PATHS : (i + 1) * PATHS] = x[c, i]
+            vs[0, c, i * PATHS : (i + 1) * PATHS] = v[c, i]
+    used = np.zeros(PATHS)
     used[:paths] = 1.0
     for k in range(steps + 1):
         here, there = k % 2, 1 - k % 2
         for c in range(2):
             for i in range(n):
-                total[k, c, i] += _dot(xs[here, c, i * LANES : (i + 1) * LANES], used)
+                total[k, c, i] += _dot(xs[here, c, i * PATHS : (i + 1) * PATHS], used)
         if k < steps:
             acceleration_in_paths(xs[here], ds[here], physics, a)
             step(
@@ -376,48 +443,114 @@ def _add_multiple(factor: float, x: Array, out: Array) -> None:
 
 
 @_inlined
-def _add_hessian(
+def _exchange_hessians(
     hx: Array,
     hy: Array,
+    gx: Array,
+    gy: Array,
     x: Array,
     y: Array,
+    xs: Array,
+    ys: Array,
     mu_x: Array,
     mu_y: Array,
-    source_x: float,
-    source_y: float,
-    source_mu_x: float,
-    source_mu_y: float,
+    mu_xs: Array,
+    mu_ys: Array,
+    count: int,
     p: MorseCoefficients,
 ) -> None:
-    """Add to LANES entries of h the Hessian of P(|x_i - source|) times (mu_i - source_mu)."""
-    for i in range(LANES):
-        sx = x[i] - source_x
-        sy = y[i] - source_y
-        wx = mu_x[i] - source_mu_x
-        wy = mu_y[i] - source_mu_y
+    """Add the Hessians of P(|x_i - xs_i|) times (mu_i - mus_i) to h_i, subtract them from g_i."""
+    for i in range(x.shape[0]):
+        sx = x[i] - xs[i]
+        sy = y[i] - ys[i]
+        wx = mu_x[i] - mu_xs[i]
+        wy = mu_y[i] - mu_ys[i]
         a, b = hessian(sx * sx + sy * sy, p)
+        a = a if i < count else 0.0
+        b = b if i < count else 0.0
         b *= sx * wx + sy * wy
-        hx[i] += a * wx + b * sx
-        hy[i] += a * wy + b * sy
+        ax = a * wx + b * sx
+        ay = a * wy + b * sy
+        hx[i] += ax
+        hy[i] += ay
+        gx[i] -= ax
+        gy[i] -= ay
 
 
 @_kernel
-def _add_hessians(
+def _hessians_round(
+    hx: Array,
+    hy: Array,
+    gx: Array,
+    gy: Array,
+    x: Array,
+    y: Array,
+    xs: Array,
+    ys: Array,
+    mu_x: Array,
+    mu_y: Array,
+    mu_xs: Array,
+    mu_ys: Array,
+    n: int,
+    p: MorseCoefficients,
+) -> None:
+    for s in range(1, n // 2 + 1):
+        count = n if 2 * s < n else s
+        m = lanes(count)
+        _exchange_hessians(
+            hx[:m], hy[:m], gx[s : s + m], gy[s : s + m],
+            x[:m], y[:m], xs[s : s + m], ys[s : s + m],
+            mu_x[:m], mu_y[:m], mu_xs[s : s + m], mu_ys[s : s + m],
+            count, p,
+        )  # fmt: skip
+
+
+@_inlined
+def _add_hessian_of_dog(
     hx: Array,
     hy: Array,
     x: Array,
     y: Array,
     mu_x: Array,
     mu_y: Array,
-    xs: Array,
-    ys: Array,
-    mu_xs: Array,
-    mu_ys: Array,
+    dx: float,
+    dy: float,
+    p: MorseCoefficients,
+) -> tuple[float, float]:
+    """Add the Hessian of P(|x_i - d|) times mu_i to h_i; return the sum over i."""
+    sum_x = 0.0
+    sum_y = 0.0
+    for i in range(x.shape[0]):
+        sx = x[i] - dx
+        sy = y[i] - dy
+        a, b = hessian(sx * sx + sy * sy, p)
+        b *= sx * mu_x[i] + sy * mu_y[i]
+        ax = a * mu_x[i] + b * sx
+        ay = a * mu_y[i] + b * sy
+        hx[i] += ax
+        hy[i] += ay
+        sum_x += ax
+        sum_y += ay
+    return sum_x, sum_y
+
+
+@_kernel
+def _add_hessians_of_dogs(
+    hx: Array,
+    hy: Array,
+    x: Array,
+    y: Array,
+    mu_x: Array,
+    mu_y: Array,
+    d: Array,
+    dt: float,
+    nu: Array,
     p: MorseCoefficients,
 ) -> None:
-    """Add the Hessians of all sources (xs, ys, mu_xs, mu_ys) to h of LANES sheep."""
-    for j in range(xs.shape[0]):
-        _add_hessian(hx, hy, x, y, mu_x, mu_y, xs[j], ys[j], mu_xs[j], mu_ys[j], p)
+    for m in range(d.shape[1]):
+        sum_x, sum_y = _add_hessian_of_dog(hx, hy, x, y, mu_x, mu_y, d[0, m], d[1, m], p)
+        nu[0, m] += dt * sum_x
+        nu[1, m] += dt * sum_y
 
 
 @_kernel
@@ -428,7 +561,8 @@ def adjoint(
 
     x[K+1, 2, lanes], d[K+1, 2, M] from rollout; source[K+1, 2, lanes] = partial derivative of
     the cost with respect to x, zero in the unused lanes. Adds to gradient[intervals, M, 2]
-    the derivative with respect to the control of each interval of `substeps` steps.
+    the derivative with respect to the control of each interval of `substeps` steps. Visits
+    the pairs as `acceleration` does.
     """
     n, dt, alpha = physics.n, physics.dt, physics.alpha
     steps = x.shape[0] - 1
@@ -436,30 +570,24 @@ def adjoint(
     mu = np.zeros_like(lam)
     nu = np.zeros((2, d.shape[2]))
     h = np.empty_like(lam)
-    h_dog = np.empty((2, LANES))
-    still = np.zeros(1)
+    ring = np.zeros((3, 2, 2 * x.shape[2]))
+    twice, mu_twice, reaction = ring[0], ring[1], ring[2]
     for k in range(steps - 1, -1, -1):
         for m in range(d.shape[2]):
             for c in range(2):
                 gradient[k // substeps, m, c] += dt * nu[c, m]
         h[:] = 0.0
-        for i in range(0, x.shape[2], LANES):
-            xi, yi = x[k, 0, i : i + LANES], x[k, 1, i : i + LANES]
-            mu_xi, mu_yi = mu[0, i : i + LANES], mu[1, i : i + LANES]
-            hx, hy = h[0, i : i + LANES], h[1, i : i + LANES]
-            _add_hessians(
-                hx, hy, xi, yi, mu_xi, mu_yi,
-                x[k, 0, :n], x[k, 1, :n], mu[0, :n], mu[1, :n], physics.sheep,
-            )  # fmt: skip
-            for m in range(d.shape[2]):
-                h_dog[:] = 0.0
-                _add_hessians(
-                    h_dog[0], h_dog[1], xi, yi, mu_xi, mu_yi,
-                    d[k, 0, m : m + 1], d[k, 1, m : m + 1], still, still, physics.dog,
-                )  # fmt: skip
-                for c in range(2):
-                    _add_multiple(1.0, h_dog[c], h[c, i : i + LANES])
-                    nu[c, m] += dt * _sum(h_dog[c])
+        _repeat(x[k], n, twice)
+        _repeat(mu, n, mu_twice)
+        reaction[:] = 0.0
+        _hessians_round(
+            h[0], h[1], reaction[0], reaction[1], x[k, 0], x[k, 1], twice[0], twice[1],
+            mu[0], mu[1], mu_twice[0], mu_twice[1], n, physics.sheep,
+        )  # fmt: skip
+        _fold(reaction, n, h)
+        _add_hessians_of_dogs(
+            h[0], h[1], x[k, 0], x[k, 1], mu[0], mu[1], d[k], dt, nu, physics.dog
+        )
         for c in range(2):
             _retreat(lam[c, :n], mu[c, :n], h[c, :n], source[k, c, :n], dt, alpha)
 
@@ -497,8 +625,8 @@ def _hessians(sources: Array, x: Array, p: MorseCoefficients, out: Array) -> Non
 def _add_hessian_of_pair(
     hx: Array, hy: Array, mu_x: Array, mu_y: Array, i: int, j: int, xx: float, xy: float, yy: float
 ) -> None:
-    """Add a Hessian times (mu_i - mu_j) to h_i, and its opposite to h_j, in LANES sweeps."""
-    for k in range(LANES):
+    """Add a Hessian times (mu_i - mu_j) to h_i, and its opposite to h_j, in PATHS sweeps."""
+    for k in range(PATHS):
         wx = mu_x[i + k] - mu_x[j + k]
         wy = mu_y[i + k] - mu_y[j + k]
         gx = xx * wx + xy * wy
@@ -513,39 +641,39 @@ def _add_hessian_of_pair(
 def _add_hessians_of_pairs(
     hx: Array, hy: Array, mu_x: Array, mu_y: Array, n: int, flock: Array, dog: Array
 ) -> None:
-    """Add all Hessians times the differences of mu[(n + M) * LANES] to h.
+    """Add all Hessians times the differences of mu[(n + M) * PATHS] to h.
 
     flock[n, 3, lanes] and dog[M, 3, lanes] are from `_hessians`. Dogs come after the sheep.
     """
     for i in range(n):
         for j in range(i):
             xx, xy, yy = flock[i, 0, j], flock[i, 1, j], flock[i, 2, j]
-            _add_hessian_of_pair(hx, hy, mu_x, mu_y, i * LANES, j * LANES, xx, xy, yy)
+            _add_hessian_of_pair(hx, hy, mu_x, mu_y, i * PATHS, j * PATHS, xx, xy, yy)
         for m in range(dog.shape[0]):
             xx, xy, yy = dog[m, 0, i], dog[m, 1, i], dog[m, 2, i]
-            _add_hessian_of_pair(hx, hy, mu_x, mu_y, i * LANES, (n + m) * LANES, xx, xy, yy)
+            _add_hessian_of_pair(hx, hy, mu_x, mu_y, i * PATHS, (n + m) * PATHS, xx, xy, yy)
 
 
 @_kernel
 def centre_adjoints(
     x: Array, d: Array, nodes: Array, substeps: int, physics: Physics, gradients: Array
 ) -> None:
-    """Do LANES reverse sweeps at once, each as `adjoint` does: for the centre at some steps.
+    """Do PATHS reverse sweeps at once, each as `adjoint` does: for the centre at some steps.
 
     Lane 2 q + c is for coordinate c of the sheep's centre at step nodes[q] >= 1, with
-    LANES / 2 nodes; zeros fill up. Adds the derivatives with respect to the control to
-    gradients[intervals, 2, M * LANES].
+    PATHS / 2 nodes; zeros fill up. Adds the derivatives with respect to the control to
+    gradients[intervals, 2, M * PATHS].
     """
     n, dt, alpha = physics.n, physics.dt, physics.alpha
     flock = np.empty((n, 3, x.shape[2]))
     dog = np.empty((d.shape[2], 3, x.shape[2]))
     # Sheep, then dogs, whose mu is zero: velocities do not depend on the controls.
-    sheep = n * LANES
+    sheep = n * PATHS
     lam = np.zeros((2, sheep))
     no_source = np.zeros(sheep)
-    mu = np.zeros((2, sheep + d.shape[2] * LANES))
+    mu = np.zeros((2, sheep + d.shape[2] * PATHS))
     h = np.empty_like(mu)
-    nu = np.zeros((2, d.shape[2] * LANES))
+    nu = np.zeros((2, d.shape[2] * PATHS))
     last = nodes.max()
     for k in range(last, -1, -1):
         if k < last:
@@ -560,4 +688,4 @@ def centre_adjoints(
         for q in range(nodes.shape[0]):
             if nodes[q] == k:
                 for c in range(2):
-                    lam[c, 2 * q + c :: LANES] += 1.0 / n
+                    lam[c, 2 * q + c :: PATHS] += 1.0 / n

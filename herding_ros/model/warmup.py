@@ -26,8 +26,8 @@ def warm_up() -> float:
     kernels.times(source[0], source[0, 0], source[0, :, 0].copy())
     kernels.transposed_times(source[0], np.zeros(2), source[0, 0].copy())
     kernels.tracking_cost(trajectory.xs, np.zeros((2, 2)), 2, 1.0, 1.0, 1.0, source)
-    nodes = np.ones(kernels.LANES // 2, dtype=np.int_)
-    rows = np.zeros((1, 2, kernels.LANES))
+    nodes = np.ones(kernels.PATHS // 2, dtype=np.int_)
+    rows = np.zeros((1, 2, kernels.PATHS))
     kernels.centre_adjoints(trajectory.xs, trajectory.ds, nodes, 1, physics(crowd, 2, 0.01), rows)
     kernels.adjoint(trajectory.xs, trajectory.ds, source, 1, physics(crowd, 2, 0.01), u.copy())
     return time.perf_counter() - started

@@ -6,7 +6,7 @@ import pytest
 
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
-from herding_ros.model.kernels import LANES, lanes
+from herding_ros.model.kernels import lanes, PATHS
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, HerdState
 
@@ -95,11 +95,11 @@ def test_there_are_no_more_paths_than_asked_for() -> None:
 @pytest.mark.parametrize(
     ('paths', 'shape'),
     [
-        (0, (0, 40, 2, 5 * LANES)),
-        (3, (1, 20, 2, 5 * LANES)),
-        (3, (1, 40, 2, 6 * LANES)),
-        (3, (1, 40, 1, 5 * LANES)),
-        (LANES + 1, (1, 40, 2, 5 * LANES)),
+        (0, (0, 40, 2, 5 * PATHS)),
+        (3, (1, 20, 2, 5 * PATHS)),
+        (3, (1, 40, 2, 6 * PATHS)),
+        (3, (1, 40, 1, 5 * PATHS)),
+        (PATHS + 1, (1, 40, 2, 5 * PATHS)),
     ],
 )
 def test_noise_that_does_not_fit_is_refused(
