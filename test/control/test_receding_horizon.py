@@ -6,14 +6,7 @@ import pytest
 
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.objective import Objective
-from herding_ros.control.parameters import (
-    Control,
-    Horizon,
-    Mapping,
-    Optimiser,
-    PAPER,
-    Reference,
-)
+from herding_ros.control.parameters import Control, Horizon, Mapping, Optimiser, PAPER, Reference
 from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import RecedingHorizon, reference, SolveReport, Window
 from herding_ros.control.solution import Status
@@ -259,3 +252,26 @@ def test_bad_goals_are_refused(goal: object) -> None:
     with pytest.raises(ValueError, match=r'^goal '):
         planner.move_goal(goal)
     np.testing.assert_array_equal(planner.goal, GOAL)
+
+
+@pytest.mark.parametrize(('seed', 'control'), [(0, Control()), (1, Control()), (0, PAPER)])
+def test_plan_on_the_default_time_grid_costs_no_more_than_one_on_the_sims(
+    seed: int, control: Control
+) -> None:
+    """Both solved to the end and played back in steps of 0.01 s: 2e-4 is all they differ."""
+    control = dataclasses.replace(
+        without_mapping(control), optimiser=Optimiser(tolerance=2e-4, max_iterations=2000)
+    )
+    fine = dataclasses.replace(control, horizon=Horizon(substeps=10))
+    assert (control.horizon.dt, fine.horizon.dt) == (0.05, 0.01)
+    state = herd(30, 5, seed)
+    model = CoarseModel(Crowd(), state, fine.horizon.dt, fine.horizon.substeps)
+    times = np.arange(2001) * fine.horizon.dt
+    weights = control.weights
+    route = reference(control.reference, state.x.mean(axis=0), GOAL, times)
+    cost = Objective(weights.centre, weights.spread, weights.control, route, np.zeros((200, 5, 2)))
+    played, best = (
+        model.value_and_gradient(cost, solved(0.0, each, state).plan.u)[0]
+        for each in (control, fine)
+    )
+    assert played == pytest.approx(best, rel=2e-4)
