@@ -196,11 +196,20 @@ def _subtract_pulls_of_dogs(
 
 
 @_kernel
+def _fill(x: Array, first: int, value: float) -> None:
+    """Put value in x[2, first:]."""
+    for c in range(2):
+        for i in range(first, x.shape[1]):
+            x[c, i] = value
+
+
+@_kernel
 def _repeat(x: Array, n: int, out: Array) -> None:
     """Put x[2, :n], twice one after the other, in out[2, :]."""
     for c in range(2):
-        out[c, :n] = x[c, :n]
-        out[c, n : 2 * n] = x[c, :n]
+        for i in range(n):
+            out[c, i] = x[c, i]
+            out[c, n + i] = x[c, i]
 
 
 @_kernel
@@ -220,16 +229,16 @@ def acceleration(x: Array, d: Array, physics: Physics, ring: Array, out: Array) 
     ring[2, 2, 2 lanes] is scratch.
     """
     n = physics.n
-    out[:] = 0.0
+    _fill(out, 0, 0.0)
     twice, reaction = ring[0], ring[1]
     _repeat(x, n, twice)
-    reaction[:] = 0.0
+    _fill(reaction, 0, 0.0)
     _pull_round(
         out[0], out[1], reaction[0], reaction[1], x[0], x[1], twice[0], twice[1], n, physics.sheep
     )
     _fold(reaction, n, out)
     _subtract_pulls_of_dogs(out[0], out[1], x[0], x[1], d, physics.dog)
-    out[:, n:] = 0.0
+    _fill(out, n, 0.0)
 
 
 @_inlined
@@ -262,22 +271,6 @@ def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> N
 
 
 @_kernel
-def _advance(
-    x: Array,
-    v: Array,
-    a: Array,
-    noise: Array,
-    dt: float,
-    alpha: float,
-    x_next: Array,
-    v_next: Array,
-) -> None:
-    for i in range(x.shape[0]):
-        x_next[i] = x[i] + dt * v[i]
-        v_next[i] = v[i] + dt * (a[i] - alpha * v[i]) + noise[i]
-
-
-@_kernel
 def step(
     x: Array,
     v: Array,
@@ -291,10 +284,13 @@ def step(
     d_next: Array,
 ) -> None:
     """One Euler-Maruyama step; a the acceleration, noise = sigma dB, u[M, 2] the control."""
+    dt, alpha = physics.dt, physics.alpha
     for c in range(2):
-        _advance(x[c], v[c], a[c], noise[c], physics.dt, physics.alpha, x_next[c], v_next[c])
+        for i in range(x.shape[1]):
+            x_next[c, i] = x[c, i] + dt * v[c, i]
+            v_next[c, i] = v[c, i] + dt * (a[c, i] - alpha * v[c, i]) + noise[c, i]
         for m in range(d.shape[1]):
-            d_next[c, m] = d[c, m] + physics.dt * u[m, c]
+            d_next[c, m] = d[c, m] + dt * u[m, c]
 
 
 @_kernel
@@ -576,10 +572,10 @@ def adjoint(
         for m in range(d.shape[2]):
             for c in range(2):
                 gradient[k // substeps, m, c] += dt * nu[c, m]
-        h[:] = 0.0
+        _fill(h, 0, 0.0)
         _repeat(x[k], n, twice)
         _repeat(mu, n, mu_twice)
-        reaction[:] = 0.0
+        _fill(reaction, 0, 0.0)
         _hessians_round(
             h[0], h[1], reaction[0], reaction[1], x[k, 0], x[k, 1], twice[0], twice[1],
             mu[0], mu[1], mu_twice[0], mu_twice[1], n, physics.sheep,
