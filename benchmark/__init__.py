@@ -1,0 +1,1 @@
+"""Measures herding_ros against its peers: `scripts/benchmark` runs it and writes the page."""

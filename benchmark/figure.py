@@ -1,0 +1,54 @@
+"""The picture of the page: times over the number of sheep, log-log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+import numpy as np
+
+from benchmark.problem import SHEEP
+from benchmark.results import Results
+
+_COLOURS = {'ours': 'tab:red', 'JAX': 'tab:blue', 'CasADi': 'tab:green', 'NumPy': 'tab:purple'}
+_LINES = {1: ':', 5: '-', 20: '--'}
+
+
+def draw(results: Results, path: Path) -> None:
+    """Write the picture as PNG."""
+    figure = Figure(figsize=(9.0, 4.0), layout='constrained')
+    left, right = figure.subplots(1, 2)
+    for dogs, line in _LINES.items():
+        for name in ('CasADi', 'JAX', 'ours'):
+            points = _points(results, 'value and gradient', name, dogs)
+            _plot(left, points, name, line, f'{name}, M = {dogs}')
+    for name in ('NumPy', 'ours'):
+        _plot(right, _points(results, 'ensemble', name, 5), name, '-', f'{name}, M = 5')
+    left.set(title='Value and gradient', ylabel='time per step [µs]')
+    right.set(title='Ensemble', ylabel='time per step and path [µs]')
+    for axes in (left, right):
+        axes.set(xscale='log', yscale='log', xlabel='N, number of sheep')
+        axes.set_xticks(SHEEP, [str(n) for n in SHEEP], minor=False)
+        axes.set_xticks([], minor=True)
+        axes.set_xlim(8, 1250)
+        axes.grid(which='both', alpha=0.2)
+        if axes.lines:
+            axes.legend(fontsize='x-small')
+    figure.savefig(path, dpi=120, metadata={'Software': None})
+
+
+def _points(results: Results, what: str, name: str, dogs: int) -> list[tuple[int, float]]:
+    """Return (N, time per step [us]) of one implementation, also per path if there are any."""
+    key = 'seconds' if name == 'ours' else 'peer_seconds'
+    times: dict[int, list[float]] = {}
+    for entry in results.of(what, dogs=dogs):
+        if name == 'ours' or entry['peer'] == name:
+            scale = 1e6 / entry['steps'] / entry.get('paths', 1)
+            times.setdefault(entry['sheep'], []).extend(scale * s for s in entry[key])
+    return [(n, float(np.median(times[n]))) for n in sorted(times)]
+
+
+def _plot(axes: Any, points: list[tuple[int, float]], name: str, line: str, label: str) -> None:
+    if points:
+        axes.plot(*zip(*points, strict=True), line, color=_COLOURS[name], marker='.', label=label)

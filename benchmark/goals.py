@@ -1,0 +1,86 @@
+"""What is aimed at, and how it is read off the results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmark.results import Results, Spread
+
+
+def growth(results: Results) -> list[float]:
+    """Return the exponents p of time ~ N^p, from N to ten times as many sheep."""
+    return list(np.log10(results.values('ratios', 'growth', sheep=100)))
+
+
+def replans(results: Results) -> list[float]:
+    """Return the times of all replans of the default controller [ms]."""
+    times = results.values('seconds', 'replan', thorough=False, paths=100)
+    return [1e3 * seconds for seconds in times]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A number that the median of some measurements has to keep."""
+
+    text: str
+    bound: float
+    measured: Callable[[Results], list[float]]
+    unit: str = ''
+    at_least: bool = True
+
+    @property
+    def condition(self) -> str:
+        """The bound in signs."""
+        return f'{"≥" if self.at_least else "≤"} {self.bound:g}{self.unit}'
+
+    def reached(self, found: Spread) -> bool:
+        """Whether the median keeps the bound."""
+        return found.median >= self.bound if self.at_least else found.median <= self.bound
+
+
+def _ratio(what: str, **case: object) -> Callable[[Results], list[float]]:
+    return lambda results: results.values('ratios', what, sheep=30, **case)
+
+
+GOALS = (
+    Goal(
+        "Value and gradient, N = 30, M = 5, 2000 steps: JAX's time / ours",
+        10.0,
+        _ratio('value and gradient', peer='JAX', dogs=5),
+    ),
+    Goal(
+        "The same: CasADi's time / ours",
+        40.0,
+        _ratio('value and gradient', peer='CasADi', dogs=5),
+    ),
+    Goal(
+        'Rollout, N = 30, M = 5: fraction of the [roof](#roof-of-the-kernels)',
+        0.5,
+        _ratio('roofline', kernel='rollout'),
+    ),
+    Goal(
+        'Ensemble, N = 30, M = 5: fraction of the roof',
+        0.5,
+        _ratio('roofline', kernel='ensemble'),
+    ),
+    Goal(
+        "Ensemble of 100 paths, N = 30, M = 5, 2000 steps: NumPy's time / ours",
+        30.0,
+        _ratio('ensemble', dogs=5),
+    ),
+    Goal('A whole [replan](#replan), horizon 20 s', 250.0, replans, ' ms', at_least=False),
+    Goal(
+        '`scripts/herd`, three processes: simulated seconds per second',
+        20.0,
+        lambda results: results.values('factors', 'herd'),
+    ),
+    Goal(
+        'Value and gradient from N = 100 to N = 1000, M = 5: exponent of N',
+        2.0,
+        growth,
+        at_least=False,
+    ),
+)

@@ -1,0 +1,1 @@
+"""The same problems in the words of other libraries, each as fast as we could write it."""

@@ -1,0 +1,97 @@
+"""The problems that are measured, and what stands for ours in every comparison."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.objective import Objective
+from herding_ros.control.parameters import Control
+from herding_ros.control.receding_horizon import reference
+from herding_ros.model.admissible import project
+from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.flock import centre
+from herding_ros.model.parameters import Crowd
+from herding_ros.model.scenario import GOAL, initial_herd
+from herding_ros.model.state import Array
+
+SHEEP = (10, 30, 100, 300, 1000)
+DOGS = (1, 5, 20)
+STEPS = {10: 2000, 30: 2000, 100: 500, 300: 100, 1000: 20}
+"""Fewer steps for many sheep: what is compared is the time per step."""
+ENSEMBLE_STEPS = {10: 2000, 30: 2000, 100: 200, 300: 20, 1000: 2}
+PATHS = 100
+DT = 0.01
+SUBSTEPS = 10
+"""A control is held for so many steps, or for all if there are fewer."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A flock, its dogs, a cost and a control at which everybody takes value and gradient.
+
+    The starting positions are those of the package's scenario, the cost has the controller's
+    default weights and reference, the control is random within the speed limit.
+    """
+
+    sheep: int
+    dogs: int
+    steps: int
+
+    @cached_property
+    def coarse(self) -> CoarseModel:
+        """The crowd without noise."""
+        state = initial_herd(self.sheep, self.dogs, np.array(GOAL), np.random.default_rng(0))
+        return CoarseModel(Crowd(), state, DT, min(SUBSTEPS, self.steps))
+
+    @cached_property
+    def u(self) -> Array:
+        """Control (intervals, M, 2) [m/s]."""
+        speed = Control().max_speed
+        shape = (self.steps // self.coarse.substeps, self.dogs, 2)
+        return project(np.random.default_rng(1).uniform(-speed, speed, shape), speed)
+
+    @cached_property
+    def objective(self) -> Objective:
+        """The cost of a window."""
+        control = Control()
+        weights = control.weights
+        start = centre(self.coarse.state.x)
+        times = np.arange(self.steps + 1.0) * DT
+        wanted = reference(control.reference, start, np.array(GOAL), times)
+        return Objective(
+            weights.centre, weights.spread, weights.control, wanted, np.zeros_like(self.u)
+        )
+
+    def value_and_gradient(self) -> tuple[float, Array]:
+        """Return our value, and our gradient in L2(0, T), (intervals, M, 2)."""
+        return self.coarse.value_and_gradient(self.objective, self.u)
+
+    def noise(self, paths: int = PATHS) -> NoisePaths:
+        """Draw the noise of an ensemble."""
+        rng = np.random.default_rng(2)
+        return noise_paths(rng, self.coarse.crowd, self.sheep, DT, self.steps, paths)
+
+    def expected_positions(self, noise: NoisePaths, threads: int | None = None) -> Array:
+        """Return our mean positions (K+1, N, 2) [m]."""
+        coarse = self.coarse
+        return expected_positions(
+            coarse.crowd, coarse.state, self.u, coarse.dt, coarse.substeps, noise, threads
+        )
+
+    def noise_array(self, noise: NoisePaths) -> Array:
+        """Return the same noise (paths, K, 2, N) [m/s] as one plain array, for the peers."""
+        return np.stack([noise.path(i)[:, :, : self.sheep] for i in range(noise.paths)])
+
+    @property
+    def interactions(self) -> int:
+        """Forces of one individual on one sheep in a step: from other sheep, and from dogs."""
+        return self.sheep * (self.sheep - 1) + self.sheep * self.dogs
+
+    @property
+    def evaluations(self) -> int:
+        """What has to be computed for them: a pair of sheep only once."""
+        return self.sheep * (self.sheep - 1) // 2 + self.sheep * self.dogs

@@ -1,0 +1,65 @@
+"""The figures of a run of the benchmark, read from its JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Entry = dict[str, Any]
+"""What one benchmark recorded: `what` it measured, the case, and its figures."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median and quartiles of repeated measurements."""
+
+    low: float
+    median: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Any) -> Spread:
+        """Take them of any number of values."""
+        return cls(*(float(q) for q in np.percentile(values, [25, 50, 75])))
+
+    def __str__(self) -> str:
+        """Return `median (quartile to quartile)`."""
+        low, median, high = map(significant, (self.low, self.median, self.high))
+        return f'{median} ({low} to {high})'
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Return value with so many significant digits, without an exponent."""
+    decimals = max(digits - 1 - int(np.floor(np.log10(abs(value)))), 0) if value else 0
+    return f'{value:.{decimals}f}'
+
+
+@dataclass(frozen=True)
+class Results:
+    """All entries of one run, and the machine they are from."""
+
+    entries: list[Entry]
+    machine: dict[str, str]
+
+    @classmethod
+    def read(cls, path: Path) -> Results:
+        """Read what pytest-benchmark has written."""
+        content = json.loads(path.read_text(encoding='utf-8'))
+        entries = [each['extra_info'] for each in content['benchmarks']]
+        return cls([entry for entry in entries if entry], content['machine_info'])
+
+    def of(self, what: str, **case: Any) -> list[Entry]:
+        """Return the entries of this kind that have all these values."""
+        return [
+            entry
+            for entry in self.entries
+            if entry['what'] == what and all(entry.get(key) == case[key] for key in case)
+        ]
+
+    def values(self, key: str, what: str, **case: Any) -> list[float]:
+        """Return the values under this key of all such entries in one list."""
+        return [value for entry in self.of(what, **case) for value in entry[key]]

@@ -1,0 +1,172 @@
+"""The tables of the page, as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from benchmark.goals import Goal, GOALS
+from benchmark.memory import IMPLEMENTATIONS
+from benchmark.problem import DOGS, SHEEP
+from benchmark.results import Entry, Results, significant, Spread
+
+NOT_MEASURED = 'not measured'
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table, or that there is nothing to show."""
+    rows = list(rows)
+    if not rows:
+        return f'*{NOT_MEASURED}*'
+    lines = [head, ['---'] * len(head), *rows]
+    return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
+
+
+def median(seconds: Sequence[float], per: float) -> str:
+    """Return the median in the unit `per` [s]."""
+    return significant(float(np.median(seconds)) / per)
+
+
+def by_case(results: Results, what: str) -> list[Entry]:
+    """Return the entries, few sheep and dogs first."""
+    return sorted(results.of(what), key=lambda entry: (entry['sheep'], entry['dogs']))
+
+
+def goals(results: Results) -> str:
+    """Return the first table: what was aimed at, and what it came to."""
+
+    def row(goal: Goal) -> tuple[str, ...]:
+        values = goal.measured(results)
+        if not values:
+            return goal.text, goal.condition, NOT_MEASURED, ''
+        found = Spread.of(values)
+        reached = 'yes' if goal.reached(found) else '**no**'
+        return goal.text, goal.condition, f'{found}{goal.unit}', reached
+
+    return table(('', 'goal', 'measured', 'reached'), map(row, GOALS))
+
+
+def machine(results: Results) -> str:
+    """Return what the figures were taken on."""
+    return table(('', ''), results.machine.items())
+
+
+def gradients(results: Results) -> str:
+    """Return times of value and gradient, ours and the peers'."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        step = 1e-6 * entry['steps']
+        return (
+            str(entry['sheep']),
+            str(entry['dogs']),
+            str(entry['steps']),
+            entry['peer'],
+            median(entry['seconds'], step),
+            median(entry['peer_seconds'], step),
+            str(Spread.of(entry['ratios'])),
+        )
+
+    head = ('N', 'M', 'steps', 'peer', 'ours [µs/step]', 'peer [µs/step]', 'peer / ours')
+    return table(head, map(row, by_case(results, 'value and gradient')))
+
+
+def roofline(results: Results) -> str:
+    """Return how near to the roof the kernels are."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        million = 1e6 * np.array(entry['seconds'])
+        return (
+            entry['kernel'],
+            str(entry['sheep']),
+            f'{np.median(entry["interactions"] / million):.0f}',
+            f'{np.median(entry["evaluations"] / million):.0f}',
+            str(Spread.of(entry['ratios'])),
+        )
+
+    head = ('kernel', 'N', 'interactions [10⁶/s]', 'evaluations [10⁶/s]', 'of the roof')
+    return table(head, map(row, results.of('roofline')))
+
+
+def ensemble(results: Results) -> str:
+    """Return times of an ensemble, ours and NumPy's."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        return (
+            str(entry['sheep']),
+            str(entry['dogs']),
+            str(entry['steps']),
+            median(entry['seconds'], 1e-3),
+            median(entry['peer_seconds'], 1e-3),
+            str(Spread.of(entry['ratios'])),
+        )
+
+    head = ('N', 'M', 'steps', 'ours [ms]', 'NumPy [ms]', 'NumPy / ours')
+    return table(head, map(row, by_case(results, 'ensemble')))
+
+
+def optimiser(results: Results) -> str:
+    """Return time and evaluations until the same objective is reached."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        return (
+            str(entry['seed']),
+            median(entry['seconds'], 1e-3),
+            str(entry['calls']),
+            median(entry['peer_seconds'], 1e-3),
+            str(entry['peer_calls']),
+            str(Spread.of(entry['ratios'])),
+        )
+
+    head = ('seed', 'SPG [ms]', 'evaluations', 'L-BFGS-B [ms]', 'evaluations', 'SciPy / ours')
+    return table(head, map(row, results.of('optimiser')))
+
+
+def replan(results: Results) -> str:
+    """Return the time of a window, and of its phases."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        corrections = entry['corrections']
+        return (
+            str(entry['sigma']),
+            entry['window'],
+            'always 3' if entry['thorough'] else f'{min(corrections)} to {max(corrections)}',
+            str(Spread.of(1e3 * np.array(entry['seconds']))),
+            significant(1e3 * max(entry['seconds'])),
+            *(median(entry['phases'][phase], 1e-3) for phase in ('coarse', 'fine', 'extraction')),
+            f'{np.median(entry["calls"]):.0f}',
+            f'{100.0 * np.median(entry["seconds"]) / entry["accepted"]:.1f} %',
+        )
+
+    head = (
+        'σ', 'window', 'corrections', 'total [ms]', 'longest [ms]', 'coarse solve [ms]',
+        'Monte Carlo [ms]', 'extraction [ms]', 'evaluations', 'of the time played',
+    )  # fmt: skip
+    return table(head, map(row, results.of('replan')))
+
+
+def herd(results: Results) -> str:
+    """Return the runs of the whole system."""
+    columns = 'simulated', 'wall', 'factors', 'seconds'
+    rows = [
+        tuple(map(significant, run))
+        for entry in results.of('herd')
+        for run in zip(*(entry[column] for column in columns), strict=True)
+    ]
+    head = 'simulated [s]', 'wall [s]', 'simulated / wall', 'with start and report [s]'
+    return table(head, rows)
+
+
+def memory(results: Results) -> str:
+    """Return the peaks of all cases."""
+
+    def cell(implementation: str, sheep: int, dogs: int) -> str:
+        found = results.of('memory', implementation=implementation, sheep=sheep, dogs=dogs)
+        return f'{found[0]["peak"]:.0f} ({found[0]["before"]:.0f})' if found else ''
+
+    rows = (
+        (str(n), str(m), *(cell(name, n, m) for name in IMPLEMENTATIONS))
+        for n in SHEEP
+        for m in DOGS
+    )
+    return table(('N', 'M', *IMPLEMENTATIONS), (row for row in rows if any(row[2:])))
