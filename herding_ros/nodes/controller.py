@@ -31,13 +31,14 @@ from herding_ros.model.state import Array, HerdState
 from herding_ros.model.warmup import warm_up
 
 from . import messages
-from .inbox import Inbox, STRAGGLERS
+from .inbox import Inbox
 from .parameters import declare, declare_crowd, NodeSettings
 from .running import (
     ADJUSTABLE,
     CountingPublisher,
     EVERY_MESSAGE,
     is_heard,
+    LOCKSTEP_TURN,
     Refusals,
     run,
     UNWATCHED,
@@ -86,14 +87,14 @@ class Controller(Node):
         )
         self._refused = Refusals(self.get_logger())
         self._dogs = range(1, self._settings.dogs + 1)
-        self._sheep: tuple[int, Array, Array] | None = None
+        self._flock: tuple[int, Array, Array] | None = None
         self._dog: dict[int, tuple[int, Array, float]] = {}
         self._goal_moved = False
         self._plans = 0
-        # Not in lockstep: the plan that is played, and the one that is being made or waits.
+        # Not in lockstep: the plan that is played, the one that waits, the one being made.
         self._playing: Plan | None = None
+        self._next: Plan | None = None
         self._coming: Future[tuple[Window, float]] | None = None
-        self._coming_t0 = 0.0
         self._worker = ThreadPoolExecutor(1, 'planner')
         self._time = 0.0
         self._missed = 0
@@ -111,8 +112,7 @@ class Controller(Node):
         self._herd_path = publish(Path, 'herd/path')
         self._dog_paths = [publish(Path, f'dog_{m}/path') for m in self._dogs]
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
-        seconds = warm_up()
-        self.get_logger().info(f'kernels loaded in {seconds:.1f} s')
+        self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._waiting = self.create_timer(0.02, self._listen_when_heard, clock=wall)
 
@@ -132,40 +132,32 @@ class Controller(Node):
         if self._settings.wait_for and not is_heard(self, everything, self._settings.wait_for):
             return
         self.destroy_timer(self._waiting)
+        self._sheep = Inbox(self, PointCloud2, 'sheep', 10, qos_overriding_options=ADJUSTABLE)
         self._odometry = [
             Inbox(self, Odometry, f'dog_{m}/odom', 10, qos_overriding_options=ADJUSTABLE)
             for m in self._dogs
         ]
-        self.create_subscription(
-            PointCloud2, 'sheep', self._on_sheep, 10, qos_overriding_options=ADJUSTABLE
-        )
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1)
         if self._settings.lockstep:
             wall = Clock(clock_type=ClockType.STEADY_TIME)
-            self.create_timer(STRAGGLERS, self._answer_when_complete, clock=wall)
+            self.create_timer(0.0, self._keep_in_step, clock=wall)
         else:
             self.create_timer(self._control.horizon.control_period, self._keep_time)
         self.get_logger().info(f'ready to herd with {self._settings.dogs} dogs')
 
-    def _on_sheep(self, message: PointCloud2) -> None:
-        try:
-            x, v = messages.sheep_in(message, self._settings.frame)
-        except ValueError as error:
-            self._refused.add('sheep', error)
-            return
-        self._sheep = (messages.nanoseconds(message.header.stamp), x, v)
-        self._answer_when_complete()
-
-    def _take_odometry(self) -> None:
+    def _take_observations(self) -> None:
+        frame = self._settings.frame
+        for data, _ in self._sheep.take():
+            try:
+                self._flock = messages.sheep_in(data, frame)
+            except ValueError as error:
+                self._refused.add('sheep', error)
         for m, inbox in zip(self._dogs, self._odometry, strict=True):
-            for message, _ in inbox.take():
+            for data, _ in inbox.take():
                 try:
-                    position, heading = messages.dog_in(message, self._settings.frame)
+                    self._dog[m] = messages.dog_in(data, frame)
                 except ValueError as error:
                     self._refused.add(f'dog_{m}/odom', error)
-                    continue
-                ns = messages.nanoseconds(message.header.stamp)
-                self._dog[m] = (ns, position, heading)
 
     def _on_goal(self, message: PoseStamped) -> None:
         try:
@@ -179,10 +171,10 @@ class Controller(Node):
 
     def _observed(self) -> Observed | None:
         """Return the newest observation, as old as its oldest part; None while incomplete."""
-        self._take_odometry()
-        if self._sheep is None or len(self._dog) < len(self._dogs):
+        self._take_observations()
+        if self._flock is None or len(self._dog) < len(self._dogs):
             return None
-        ns, x, v = self._sheep
+        ns, x, v = self._flock
         dogs = [self._dog[m] for m in self._dogs]
         state = HerdState(x, v, np.array([position for _, position, _ in dogs]))
         headings = np.array([heading for _, _, heading in dogs])
@@ -190,14 +182,19 @@ class Controller(Node):
 
     # Lockstep: solve when due, then answer.
 
+    def _keep_in_step(self) -> None:
+        """Answer when sheep come, which come last; the executor sees to all else in between."""
+        for _ in self._sheep.arrivals(LOCKSTEP_TURN):
+            self._answer_when_complete()
+
     def _answer_when_complete(self) -> None:
-        if not self._settings.lockstep or self._sheep is None:
-            return
-        ns = self._sheep[0]
         observed = self._observed()
-        if observed is None or any(dog[0] != ns for dog in self._dog.values()):
+        if observed is None or self._flock is None:
             return
-        self._sheep = None  # each observation is answered once
+        ns = self._flock[0]
+        if any(dog[0] != ns for dog in self._dog.values()):
+            return
+        self._flock = None  # each observation is answered once
         self._dog.clear()
         t = ns * 1e-9
         if self._planner.plan is not None and self._planner.plan.index(t) < 0:
@@ -220,19 +217,25 @@ class Controller(Node):
         if observed is None:
             return
         if t < self._time:
-            self._playing = self._coming = None  # time was set back: start anew
+            self._playing = self._next = self._coming = None  # time was set back: start anew
             self._planner.restart()
         self._time = t
         fresh = t - observed.ns * 1e-9 <= self._settings.state_timeout
-        if self._coming is None and fresh and self._is_time_to_plan(t):
+        if fresh and self._is_time_to_plan(t):
             self._begin_plan(observed, t)
-        self._take_over_plan(t, now)
+        if self._coming is not None and self._coming.done():
+            self._next = self._made_plan(*self._coming.result(), now)
+            self._coming = None
+        if self._next is not None and t >= self._next.t0 - 1e-9:
+            self._playing, self._next = self._next, None
         if self._playing is None:
             return
         u = self._playing.at(t) if fresh else np.zeros((len(self._dogs), 2))
         self._command(u, observed.headings, now)
 
     def _is_time_to_plan(self, t: float) -> bool:
+        if self._coming is not None or self._next is not None:
+            return False
         if self._playing is None or self._goal_moved:
             return True
         return t >= self._playing.t0 + self._control.horizon.accepted - self._settings.lead
@@ -246,7 +249,6 @@ class Controller(Node):
         period = self._control.horizon.control_period
         steps = max(round((start - observed.ns * 1e-9) / period), 0)
         state = self._predict(observed, steps)
-        self._coming_t0 = start
         self._coming = self._worker.submit(self._solve, state, start)
 
     def _solve(self, state: HerdState, start: float) -> tuple[Window, float]:
@@ -266,27 +268,25 @@ class Controller(Node):
             -1
         )
 
-    def _take_over_plan(self, t: float, now: int) -> None:
-        """Play the coming plan from the start of its window on; count it when it is late."""
-        if self._coming is None or not self._coming.done() or t < self._coming_t0 - 1e-9:
-            return
-        window, margin = self._coming.result()
-        self._coming = None
+    def _made_plan(self, window: Window, margin: float, now: int) -> Plan:
+        """Announce a plan that has been made; count it when it is late."""
         if margin < 0.0 and self._playing is not None:
             self._missed += 1
             self.get_logger().warning(
                 f'a plan was late by {-margin:.2f} s, the old one was played on; '
                 f'raise lead ({self._settings.lead:g} s) or lower mapping.paths'
             )
-        self._playing = window.plan
         self._announce(window, now, margin)
+        return window.plan
 
     # Both.
 
     def _command(self, u: Array, headings: Array, ns: int) -> None:
         for m, publisher in enumerate(self._commands):
-            message = messages.command(u[m], headings[m], m + 1, ns)
-            publisher.publish(message if self._settings.stamped else message.twist)
+            if self._settings.stamped:
+                publisher.publish(messages.command(u[m], headings[m], m + 1, ns))
+            else:
+                publisher.publish(messages.twist(u[m], headings[m]))
 
     def _announce(self, window: Window, ns: int, margin: float) -> None:
         """Publish a new plan, what it is expected to do and how it was found."""

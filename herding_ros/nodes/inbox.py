@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import time
 from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -13,47 +15,50 @@ MOST_AT_ONCE = 1_000
 """Messages taken in a row, so that a flooded topic does not keep out the others."""
 
 
-STRAGGLERS = 0.02
-"""Time between two looks for messages that came after the one that wakes the node [s]."""
-
-
 class Inbox:
-    """Holds the messages of a topic until they are taken.
+    """Holds the messages of a topic, as bytes, until they are taken.
 
-    rclpy's executor spends some 200 µs on waking up for a message, `take` some 5. So a node
-    that needs all of several topics wakes for one of them and takes the others.
+    rclpy's executor spends some 200 µs on waking up for a message, since it then looks at
+    everything that a node has. `take` spends 3 and `arrivals` 10.
     """
 
     def __init__(
-        self,
-        node: Node,
-        message_type: Any,
-        topic: str,
-        qos: QoSProfile | int,
-        raw: bool = False,
-        **options: Any,
+        self, node: Node, message_type: Any, topic: str, qos: QoSProfile | int, **options: Any
     ) -> None:
+        self._node = node
         self._type = message_type
-        self._raw = raw
         self.subscription = node.create_subscription(
             message_type,
             topic,
             lambda message: None,
             qos,
             callback_group=_Nobody(),
-            raw=raw,
+            raw=True,
             **options,
         )
 
-    def take(self) -> Iterator[tuple[Any, dict[str, int]]]:
+    def take(self) -> Iterator[tuple[bytes, dict[str, int]]]:
         """Yield the messages that have come in, the oldest first, each with its time stamps."""
         with self.subscription.handle:
             take_message = self.subscription.handle.take_message
             for _ in range(MOST_AT_ONCE):
-                taken = take_message(self._type, self._raw)
+                taken = take_message(self._type, True)
                 if taken is None:
                     break
                 yield taken
+
+    def arrivals(self, seconds: float) -> Iterator[None]:
+        """Yield whenever there are messages, and when the time is over."""
+        end = time.monotonic() + seconds
+        context = self._node.context.handle
+        assert context is not None
+        with self.subscription.handle, context:
+            wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, context)
+            while (left := end - time.monotonic()) > 0.0:
+                wait_set.clear_entities()
+                wait_set.add_subscription(self.subscription.handle)
+                wait_set.wait(int(left * 1e9))
+                yield
 
 
 class _Nobody(MutuallyExclusiveCallbackGroup):

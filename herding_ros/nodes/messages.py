@@ -1,15 +1,18 @@
 """Messages <-> arrays: the only place that knows what a message looks like.
 
 Everything is in SI units. Conversions from messages raise ValueError on anything that must
-not move a dog: wrong frames and fields, NaN, infinities.
+not move a dog: wrong frames and fields, NaN, infinities. What comes at every control period is
+written and read as bytes (see `wire`).
 """
 
 from __future__ import annotations
 
 import array
 from collections.abc import Mapping
+from functools import lru_cache
+import math
 
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import (
     Point,
@@ -33,6 +36,8 @@ from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import SolveReport
 from herding_ros.model.state import Array, finite
 
+from .wire import decoded, read, Template
+
 _COORDINATES = ('x', 'y', 'z', 'vx', 'vy', 'vz')
 _CLOUD = np.dtype([('id', '<u4'), *((name, '<f4') for name in _COORDINATES)])
 _FIELDS = [
@@ -42,6 +47,12 @@ _FIELDS = [
         for i, name in enumerate(_COORDINATES, start=1)
     ),
 ]
+_POSE = [('position', 'f8', 3), ('orientation', 'f8', 4)]
+_TWIST = [('linear', 'f8', 3), ('angular', 'f8', 3)]
+_ODOMETRY = np.dtype(
+    [*_POSE, ('pose_covariance', 'f8', 36), *_TWIST, ('twist_covariance', 'f8', 36)]
+)
+_COMMAND = np.dtype(_TWIST)
 
 
 def nanoseconds(stamp: Time) -> int:
@@ -66,30 +77,39 @@ def dog_frame(m: int) -> str:
     return f'dog_{m}/base_link'
 
 
-def cloud(x: Array, v: Array, ns: int, frame: str) -> PointCloud2:
-    """Sheep at x (N, 2) [m] with velocities v (N, 2) [m/s] as a point cloud."""
-    sheep = np.zeros(len(x), _CLOUD)
-    sheep['id'] = np.arange(len(x))
+def cloud(x: Array, v: Array, ns: int, frame: str) -> bytes:
+    """Sheep at x (N, 2) [m] with velocities v (N, 2) [m/s] as a PointCloud2."""
+    template = _cloud(len(x), frame)
+    sheep = template.numbers['sheep']
     sheep['x'], sheep['y'] = x.T
     sheep['vx'], sheep['vy'] = v.T
-    return PointCloud2(
-        header=Header(stamp=stamp_of(ns), frame_id=frame),
+    return template.stamped(ns)
+
+
+@lru_cache(maxsize=16)
+def _cloud(count: int, frame: str) -> Template:
+    sheep = np.zeros(count, _CLOUD)
+    sheep['id'] = np.arange(count)
+    message = PointCloud2(
+        header=Header(frame_id=frame),
         height=1,
-        width=len(x),
+        width=count,
         fields=_FIELDS,
         is_bigendian=False,
         point_step=_CLOUD.itemsize,
-        row_step=_CLOUD.itemsize * len(x),
+        row_step=_CLOUD.itemsize * count,
         data=array.array('B', sheep.tobytes()),
         is_dense=True,
     )
+    return Template(message, [('sheep', _CLOUD, count), ('is_dense', '?')])
 
 
-def sheep_in(message: PointCloud2, frame: str) -> tuple[Array, Array]:
-    """Positions (N, 2) [m] and velocities (N, 2) [m/s] of the sheep in a point cloud.
+def sheep_in(data: bytes, frame: str) -> tuple[int, Array, Array]:
+    """Time [ns], positions (N, 2) [m] and velocities (N, 2) [m/s] of sheep in a PointCloud2.
 
     Fields x, y, vx, vy must be there as floats, in any order and with any others.
     """
+    message = decoded(data, PointCloud2)
     check_frame('sheep', message.header.frame_id, frame)
     if not message.width * message.height:
         raise ValueError('sheep are an empty cloud, allowed is at least one point')
@@ -101,42 +121,71 @@ def sheep_in(message: PointCloud2, frame: str) -> tuple[Array, Array]:
     ]
     if missing:
         raise ValueError(f'sheep have no field {", ".join(missing)} of type FLOAT32 or FLOAT64')
-    x = np.stack([sheep['x'], sheep['y']], axis=1)
-    v = np.stack([sheep['vx'], sheep['vy']], axis=1)
-    return finite('sheep positions', x, (None, 2)), finite('sheep velocities', v, (None, 2))
+    values = np.stack([sheep[name] for name in ('x', 'y', 'vx', 'vy')], axis=1)
+    values = finite('sheep positions and velocities', values, (None, 4))
+    return nanoseconds(message.header.stamp), values[:, :2], values[:, 2:]
 
 
-def odometry(d: Array, u: Array, m: int, ns: int, frame: str) -> Odometry:
-    """Dog m at d (2,) [m] with velocity u (2,) [m/s]; its body axes are those of the frame."""
-    message = Odometry(header=Header(stamp=stamp_of(ns), frame_id=frame))
-    message.child_frame_id = dog_frame(m)
-    message.pose.pose.position.x, message.pose.pose.position.y = float(d[0]), float(d[1])
-    message.twist.twist.linear.x, message.twist.twist.linear.y = float(u[0]), float(u[1])
-    return message
+def odometry(d: Array, u: Array, m: int, ns: int, frame: str) -> bytes:
+    """Odometry of dog m at d (2,) [m] with velocity u (2,) [m/s]; it looks along x."""
+    template = _odometry(m, frame)
+    template.numbers['position'][:2] = d
+    template.numbers['linear'][:2] = u
+    return template.stamped(ns)
 
 
-def dog_in(message: Odometry, frame: str) -> tuple[Array, float]:
-    """Position (2,) [m] and heading [rad] of a dog."""
-    check_frame('odometry', message.header.frame_id, frame)
-    pose = message.pose.pose
-    q = pose.orientation
-    heading = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-    finite('dog heading', [heading], (1,))
-    return finite('dog position', [pose.position.x, pose.position.y], (2,)), float(heading)
+@lru_cache(maxsize=1000)
+def _odometry(m: int, frame: str) -> Template:
+    message = Odometry(header=Header(frame_id=frame), child_frame_id=dog_frame(m))
+    return Template(message, _ODOMETRY)
 
 
-def command(u: Array, heading: float, m: int, ns: int) -> TwistStamped:
-    """Velocity u (2,) [m/s] in the map as a command in the body frame of dog m."""
-    message = TwistStamped(header=Header(stamp=stamp_of(ns), frame_id=dog_frame(m)))
-    c, s = np.cos(heading), np.sin(heading)
-    message.twist.linear.x = float(c * u[0] + s * u[1])
-    message.twist.linear.y = float(c * u[1] - s * u[0])
-    return message
+def dog_in(data: bytes, frame: str) -> tuple[int, Array, float]:
+    """Time [ns], position (2,) [m] and heading [rad] of a dog in an Odometry."""
+    ns, given, numbers = read(data, Odometry, _ODOMETRY)
+    check_frame('odometry', given, frame)
+    x, y, z, w = numbers['orientation'].tolist()
+    heading = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    values = finite('dog position and heading', [*numbers['position'][:2], heading], (3,))
+    return ns, values[:2], heading
 
 
-def velocity_in(message: Twist) -> Array:
-    """Velocity (2,) [m/s] of a command."""
-    return finite('command', [message.linear.x, message.linear.y], (2,))
+def command(u: Array, heading: float, m: int, ns: int) -> bytes:
+    """Velocity u (2,) [m/s] in the map as a TwistStamped in the body frame of dog m."""
+    template = _command(m)
+    template.numbers['linear'][:2] = _turned(u, heading)
+    return template.stamped(ns)
+
+
+@lru_cache(maxsize=1000)
+def _command(m: int) -> Template:
+    return Template(TwistStamped(header=Header(frame_id=dog_frame(m))), _COMMAND)
+
+
+def twist(u: Array, heading: float) -> Twist:
+    """Velocity u (2,) [m/s] in the map as a command in the body frame of a dog."""
+    x, y = _turned(u, heading)
+    return Twist(linear=Vector3(x=x, y=y))
+
+
+def _turned(u: Array, heading: float) -> tuple[float, float]:
+    """Return u (2,) in axes that are turned by heading [rad]."""
+    c, s = math.cos(heading), math.sin(heading)
+    x, y = u.tolist()
+    return c * x + s * y, c * y - s * x
+
+
+def command_in(data: bytes, m: int, frame: str) -> tuple[int, Array]:
+    """Time [ns] and velocity (2,) [m/s] of a TwistStamped for dog m."""
+    ns, given, numbers = read(data, TwistStamped, _COMMAND)
+    check_frame('command', given, dog_frame(m), frame)
+    return ns, finite('command', numbers['linear'][:2], (2,))
+
+
+def twist_in(data: bytes) -> Array:
+    """Velocity (2,) [m/s] of a Twist."""
+    linear = decoded(data, Twist).linear
+    return finite('command', [linear.x, linear.y], (2,))
 
 
 def goal_in(message: PoseStamped, frame: str) -> Array:
@@ -146,36 +195,51 @@ def goal_in(message: PoseStamped, frame: str) -> Array:
     return finite('goal', [position.x, position.y], (2,))
 
 
-def _duration(t: float) -> Duration:
-    ns = round(t * 1e9)
-    return Duration(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
+def trajectory(plan: Plan, dogs: Array, ns: int, frame: str) -> bytes:
+    """Plan with the dogs' planned positions (intervals, M, 2) [m] at the intervals' starts.
+
+    A MultiDOFJointTrajectory.
+    """
+    template = _trajectory(*plan.u.shape[:2], frame)
+    points = template.numbers['points']
+    points['transforms']['translation'][..., :2] = dogs
+    points['velocities']['linear'][..., :2] = plan.u
+    times = np.rint(np.arange(len(dogs)) * plan.dt * 1e9).astype(int)
+    points['sec'], points['nanosec'] = np.divmod(times, 1_000_000_000)
+    return template.stamped(ns)
 
 
-def trajectory(plan: Plan, dogs: Array, ns: int, frame: str) -> MultiDOFJointTrajectory:
-    """Plan with the dogs' planned positions (intervals, M, 2) [m] at the intervals' starts."""
-    message = MultiDOFJointTrajectory(header=Header(stamp=stamp_of(ns), frame_id=frame))
-    count = plan.u.shape[1]
-    message.joint_names = [f'dog_{m + 1}' for m in range(count)]
-    upright = Quaternion(w=1.0)
-    for k, (u, d) in enumerate(zip(plan.u.tolist(), dogs.tolist(), strict=True)):
-        message.points.append(
-            MultiDOFJointTrajectoryPoint(
-                transforms=[
-                    Transform(translation=Vector3(x=x, y=y), rotation=upright) for x, y in d
-                ],
-                velocities=[Twist(linear=Vector3(x=x, y=y)) for x, y in u],
-                time_from_start=_duration(k * plan.dt),
-            )
-        )
-    return message
+@lru_cache(maxsize=16)
+def _trajectory(intervals: int, count: int, frame: str) -> Template:
+    point = MultiDOFJointTrajectoryPoint(
+        transforms=[Transform(rotation=Quaternion(w=1.0))] * count, velocities=[Twist()] * count
+    )
+    message = MultiDOFJointTrajectory(
+        header=Header(frame_id=frame),
+        joint_names=[f'dog_{m + 1}' for m in range(count)],
+        points=[point] * intervals,
+    )
+    transform = [('translation', 'f8', 3), ('rotation', 'f8', 4)]
+    # Between the arrays are their lengths, the second one filled up to 8 bytes.
+    on_the_wire = [
+        ('transform_count', 'u4'),
+        ('transforms', transform, count),
+        ('velocity_count', 'u4', 2),
+        ('velocities', _TWIST, count),
+        ('acceleration_count', 'u4'),
+        ('sec', 'i4'),
+        ('nanosec', 'u4'),
+    ]
+    return Template(message, [('points', on_the_wire, intervals)])
 
 
 def path(route: Array, dt: float, ns: int, frame: str) -> Path:
     """Route (K, 2) [m], its points dt [s] apart, the first at the stamp."""
     message = Path(header=Header(stamp=stamp_of(ns), frame_id=frame))
+    upright = Quaternion(w=1.0)
     for k, (x, y) in enumerate(route.tolist()):
         header = Header(stamp=stamp_of(ns + round(k * dt * 1e9)), frame_id=frame)
-        pose = Pose(position=Point(x=x, y=y))
+        pose = Pose(position=Point(x=x, y=y), orientation=upright)
         message.poses.append(PoseStamped(header=header, pose=pose))
     return message
 

@@ -1,7 +1,7 @@
 """The recorder node: every topic of the graph, as it is on the wire, into a rosbag2 bag.
 
 A lockstep run brings 10,000 messages a second, too many for rclpy's executor. So that serves
-timers and parameters alone, and 100 times a second the recorder empties its subscriptions.
+timers and parameters alone, and 50 times a second the recorder empties its subscriptions.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from .. import __version__
 from ..bag.definitions import message_definition
 from ..bag.writer import BagWriter
 from .parameter_query import ParameterQuery
+from .running import CLOCK, start_ros
 from .tap import Received, Tap
 from .topic_qos import adapted_qos, asks_more, qos_map
 
-TAKE_PERIOD = 0.01
+TAKE_PERIOD = 0.02
 """Time between two rounds over the subscriptions [s]."""
 
 GRAPH_PERIOD = 0.1
@@ -48,9 +48,6 @@ LAST_MESSAGES = 0.05
 
 DEPTH = 10_000
 """Messages that a subscription holds between two rounds: by far more than a burst brings."""
-
-CLOCK = '/clock'
-"""The topic that tells the time of a simulation."""
 
 
 class Recorder(Node):
@@ -251,7 +248,7 @@ def main(args: list[str] | None = None) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(args)
     recorder = Recorder()
     log = recorder.get_logger()
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 import os
+from pathlib import Path
 import signal
 import sys
 import threading
@@ -24,12 +25,17 @@ from rclpy.task import Future
 
 from .topic_qos import asks_more
 
+CLOCK = '/clock'
+"""The topic that tells the time of a simulation."""
+
+LOCKSTEP_TURN = 0.02
+"""Time for which a node in lockstep only answers, before it looks at everything else [s]."""
+
 EVERY_MESSAGE = QoSProfile(depth=1000)
 """Reliable, with room for what a slow listener has not taken yet."""
 
 ADJUSTABLE = QoSOverridingOptions.with_default_policies()
 """Lets users change reliability and depth by parameters, for robots on a radio link."""
-
 
 UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
 """No events: the executor would look at two for every publisher each time it wakes."""
@@ -50,13 +56,24 @@ _FAREWELL = 1.0
 """Time in which the last messages are delivered before a node goes [s]."""
 
 
+def start_ros(args: list[str] | None = None) -> None:
+    """Initialise rclpy; signals are left to the caller.
+
+    Fast DDS reads our settings, unless the user has some: they change how often a node says
+    that it is there, and nothing about how others talk with it.
+    """
+    settings = str(Path(__file__).with_name('fastdds.xml'))
+    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', settings)
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+
+
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Spin a node until SIGINT or SIGTERM, and let its last messages arrive.
 
     Returns the exit code: 0, or 2 when the node was started with a parameter that is not
     allowed (ValueError), which is printed and nothing else.
     """
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(args)
     ended = Future()
     _on_signal(lambda: ended.set_result(None))
     try:
@@ -103,7 +120,8 @@ def _on_signal(act: Callable[[], None]) -> None:
 def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool:
     """Whether the node named `listener` and all other subscribers are matched by publishers.
 
-    Subscribers that ask for more than a publisher offers never will be, and do not count.
+    Subscribers that ask for more than a publisher offers never will be, and do not count. Nor
+    does it count as listening when rclpy itself looks at the time, with a lower reliability.
     """
     for publisher in publishers:
         subscribers = [
@@ -111,7 +129,13 @@ def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool
             for info in node.get_subscriptions_info_by_topic(publisher.topic_name)
             if not asks_more(info.qos_profile, publisher.qos_profile)
         ]
-        if listener not in {info.node_name for info in subscribers}:
+        listeners = {
+            info.node_name
+            for info in subscribers
+            if publisher.topic_name != CLOCK
+            or info.qos_profile.reliability == publisher.qos_profile.reliability
+        }
+        if listener not in listeners:
             return False
         if publisher.get_subscription_count() < len(subscribers):
             return False

@@ -24,13 +24,14 @@ from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
 from . import messages
-from .inbox import Inbox, STRAGGLERS
+from .inbox import Inbox
 from .parameters import declare, declare_crowd, NodeSettings
 from .running import (
     ADJUSTABLE,
     CountingPublisher,
     EVERY_MESSAGE,
     is_heard,
+    LOCKSTEP_TURN,
     Refusals,
     run,
     UNWATCHED,
@@ -62,7 +63,7 @@ class Sim(Node):
         self._settings = declare(self, SimSettings())
         self._crowd = declare_crowd(self)
         self._world = declare(self, World())
-        warm_up()
+        self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
         self._goal = np.array(self._settings.goal)
         self._refused = Refusals(self.get_logger())
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
@@ -85,16 +86,10 @@ class Sim(Node):
         self._markers = publish(MarkerArray, 'markers')
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
         kind = TwistStamped if self._settings.stamped else Twist
-        # The commands of a period come together: the last dog's wake the sim, which then takes
-        # those of the others.
-        *others, last = (f'dog_{m}/cmd_vel' for m in dogs)
-        self._inboxes = [
-            Inbox(self, kind, topic, 10, qos_overriding_options=ADJUSTABLE) for topic in others
+        self._commands = [
+            Inbox(self, kind, f'dog_{m}/cmd_vel', 10, qos_overriding_options=ADJUSTABLE)
+            for m in dogs
         ]
-        waking = self.create_subscription(
-            kind, last, self._on_last_command, 10, qos_overriding_options=ADJUSTABLE
-        )
-        self._commands = [*(inbox.subscription for inbox in self._inboxes), waking]
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(SetBool, '~/pause', self._on_pause)
@@ -129,7 +124,7 @@ class Sim(Node):
         self._publish_state()
         self.create_timer(0.5, self._publish_diagnostics, clock=self._wall)
         if self._settings.lockstep:
-            self.create_timer(STRAGGLERS, self._advance_in_lockstep, clock=self._wall)
+            self.create_timer(0.0, self._keep_in_step, clock=self._wall)
         else:
             period = self._world.control_period / self._settings.real_time_factor
             self.create_timer(period, self._advance_in_real_time, clock=self._wall)
@@ -143,36 +138,30 @@ class Sim(Node):
                 is_heard(self, sensors, commander.node_name)
                 for commander in self.get_publishers_info_by_topic(commands.topic_name)
             )
-            for commands in self._commands
+            for commands in (inbox.subscription for inbox in self._commands)
         )
 
-    def _on_last_command(self, message: TwistStamped | Twist) -> None:
-        self._take_command(self._world.dogs, message)
-        self._advance_in_lockstep()
-
     def _take_commands(self) -> None:
-        for m, inbox in enumerate(self._inboxes, start=1):
-            for message, _ in inbox.take():
-                self._take_command(m, message)
+        for m, inbox in enumerate(self._commands, start=1):
+            for data, _ in inbox.take():
+                try:
+                    self._velocities[m - 1] = self._velocity_in(data, m)
+                    self._received_ns[m - 1] = self._simulation.nanoseconds
+                except ValueError as error:
+                    self._refused.add(f'dog_{m}/cmd_vel', error)
 
-    def _take_command(self, m: int, message: TwistStamped | Twist) -> None:
-        try:
-            twist = message
-            if self._settings.stamped:
-                messages.check_frame(
-                    'command', message.header.frame_id, messages.dog_frame(m), self._settings.frame
-                )
-                twist = message.twist
-            velocity = messages.velocity_in(twist)
-            if self._settings.lockstep and (
-                messages.nanoseconds(message.header.stamp) != self._simulation.nanoseconds
-            ):
-                raise ValueError('its stamp is not that of the published state')
-        except ValueError as error:
-            self._refused.add(f'dog_{m}/cmd_vel', error)
-            return
-        self._velocities[m - 1] = velocity
-        self._received_ns[m - 1] = self._simulation.nanoseconds
+    def _velocity_in(self, data: bytes, m: int) -> Array:
+        if not self._settings.stamped:
+            return messages.twist_in(data)
+        ns, velocity = messages.command_in(data, m, self._settings.frame)
+        if self._settings.lockstep and ns != self._simulation.nanoseconds:
+            raise ValueError('its stamp is not that of the published state')
+        return velocity
+
+    def _keep_in_step(self) -> None:
+        """Move on as commands come, the last dog's last; the executor sees to all else between."""
+        for _ in self._commands[-1].arrivals(LOCKSTEP_TURN):
+            self._advance_in_lockstep()
 
     def _advance_in_lockstep(self) -> None:
         """Move on once every dog has the command that answers the published state."""

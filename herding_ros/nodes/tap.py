@@ -38,7 +38,6 @@ class Tap:
             message_type,
             topic,
             qos,
-            raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
         self._lost = rclpy_implementation.EventHandle(

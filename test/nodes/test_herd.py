@@ -7,13 +7,16 @@ import json
 from pathlib import Path
 import re
 import signal
+import time
 from typing import Any
 
 import numpy as np
 import psutil
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.parameters import Control
@@ -91,6 +94,28 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit_and_twice(
         assert arrived(x[-1].astype(float), np.array(GOAL), float(spread(x[0].astype(float))))
         assert (out / 'trajectories.png').read_bytes().startswith(b'\x89PNG')
     assert clouds[0] == clouds[1]
+
+
+def test_nodes_that_start_together_find_each_other_at_once(
+    start: Callable[..., Any], peer: Any, tmp_path: Path
+) -> None:
+    """From the moment all are there, with kernels ready, to the first plan: no lost seconds."""
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    plans = peer.listen(MultiDOFJointTrajectory, 'plan', latched)
+    for k in range(3):
+        plans.clear()
+        nodes = [start('recorder', bag=tmp_path / f'bag_{k}')]
+        nodes += [
+            start(name, lockstep=True, wait_for='recorder') for name in ('controller', 'sim')
+        ]
+        nodes[1].wait_for('kernels loaded')
+        nodes[2].wait_for('kernels loaded')
+        begun = time.monotonic()
+        peer.spin_until(lambda: plans)
+        assert time.monotonic() - begun < 2.5
+        nodes[1].wait_for('ready')
+        for node in nodes:
+            node.end()
 
 
 def test_real_time_arrives_too(start: Callable[..., Any], tmp_path: Path) -> None:

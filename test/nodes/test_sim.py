@@ -12,14 +12,26 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
 
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import messages
+
+
+def flock(cloud: PointCloud2) -> tuple[np.ndarray, np.ndarray]:
+    _, x, v = messages.sheep_in(serialize_message(cloud), 'map')
+    return x, v
+
+
+def place(dog: Odometry) -> np.ndarray:
+    return messages.dog_in(serialize_message(dog), 'map')[1]
 
 
 class Shepherd:
@@ -38,8 +50,8 @@ class Shepherd:
         self.publishers = [peer.talk_to(TwistStamped, f'dog_{m + 1}/cmd_vel') for m in range(dogs)]
 
     def command(self, u: Any, ns: int, m: int = 0, frame: str = 'dog_1/base_link') -> None:
-        message = messages.command(np.array(u), 0.0, m + 1, ns)
-        message.header.frame_id = frame
+        header = Header(stamp=messages.stamp_of(ns), frame_id=frame)
+        message = TwistStamped(header=header, twist=messages.twist(np.array(u), 0.0))
         self.publishers[m].publish(message)
 
     def answer(self, u: Any) -> int:
@@ -59,7 +71,7 @@ class Shepherd:
         ns = self.newest()
         mine = self.true_odometry[m]
         self.peer.spin_until(lambda: messages.nanoseconds(mine[-1].header.stamp) >= ns)
-        return messages.dog_in(mine[-1], 'map')[0]
+        return place(mine[-1])
 
     def refusals(self) -> dict[str, int]:
         status = self.diagnostics[-1].status[0] if self.diagnostics else None
@@ -82,11 +94,11 @@ def test_lockstep_is_the_simulation_of_the_core(start: Callable[..., Any], peer:
                 min(len(heard) for heard in (shepherd.sheep, *shepherd.odometry)) > k  # type: ignore[misc]
             )
         )
-        x, v = messages.sheep_in(shepherd.sheep[k], 'map')
+        x, v = flock(shepherd.sheep[k])
         assert np.array_equal(x, seen.state.x)
         assert np.array_equal(v, seen.state.v)
         for m, heard in enumerate(shepherd.odometry):
-            assert np.array_equal(messages.dog_in(heard[k], 'map')[0], seen.state.d[m])
+            assert np.array_equal(place(heard[k]), seen.state.d[m])
         assert messages.nanoseconds(shepherd.sheep[k].header.stamp) == k * 100_000_000
         shepherd.answer(u)
         expected.advance(np.array([u, u]))
@@ -101,6 +113,26 @@ def test_subscriber_that_asks_too_much_holds_up_nobody(
     shepherd = Shepherd(peer)
     assert shepherd.answer([0.01, 0.0]) == 100_000_000
     assert not heard
+
+
+def test_listening_to_the_time_is_not_recording_it(start: Callable[..., Any], peer: Any) -> None:
+    """With use_sim_time a node hears /clock before it records anything."""
+    start('sim', wait_for='peer', **SMALL)
+    sheep = peer.listen(PointCloud2, 'sheep')
+    for kind, topic in [
+        (PointCloud2, 'truth/sheep'),
+        (Odometry, 'dog_1/odom'),
+        (Odometry, 'truth/dog_1/odom'),
+        (MarkerArray, 'markers'),
+        (DiagnosticArray, '/diagnostics'),
+    ]:
+        peer.listen(kind, topic)
+    peer.listen(Clock, '/clock', QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    peer.talk_to(TwistStamped, 'dog_1/cmd_vel')
+    peer.spin_for(1.0)
+    assert not sheep
+    peer.listen(Clock, '/clock')
+    peer.spin_until(lambda: sheep)
 
 
 def test_lockstep_waits_for_every_dog_and_for_the_right_stamp(
@@ -206,8 +238,8 @@ def test_sensors_are_as_noisy_as_told(start: Callable[..., Any], peer: Any) -> N
     shepherd = Shepherd(peer)
     shepherd.newest()
     peer.spin_until(lambda: shepherd.sheep)
-    seen_x, seen_v = messages.sheep_in(shepherd.sheep[0], 'map')
-    true_x, true_v = messages.sheep_in(shepherd.truth[0], 'map')
+    seen_x, seen_v = flock(shepherd.sheep[0])
+    true_x, true_v = flock(shepherd.truth[0])
     assert np.std(seen_x - true_x) == pytest.approx(0.02, rel=0.1)
     assert np.std(seen_v - true_v) == pytest.approx(0.03, rel=0.1)
 
