@@ -179,14 +179,15 @@ class RecedingHorizon:
         Most of the way is done on the control's own time grid, where a step is cheaper.
         """
         horizon, weights = self.control.horizon, self.control.weights
-        u = no_control = np.zeros((horizon.intervals, len(coarse.state.d), 2))
+        no_control: Array = np.zeros((horizon.intervals, len(coarse.state.d), 2))
+        u = no_control
         if self._last is not None and self._last.u.shape == u.shape:
             u = self._last.shifted(t).u
         solutions = []
         limit = self.control.optimiser.max_iterations
         for substeps in sorted({1, coarse.substeps}):
             model = replace(coarse, dt=coarse.interval / substeps, substeps=substeps)
-            times = np.arange(horizon.intervals * substeps + 1.0) * model.dt
+            times = np.linspace(0.0, horizon.length, horizon.intervals * substeps + 1)
             route = reference(self.control.reference, centre(coarse.state.x), self.goal, times)
             objective = Objective(
                 weights.centre, weights.spread, weights.control, route, no_control

@@ -64,7 +64,7 @@ class Simulation:
         self.goal = goal
         flock = np.random.default_rng(world.seed)
         self.state = initial_herd(world.sheep, world.dogs, goal, flock)
-        self.dog_velocities = np.zeros((world.dogs, 2))
+        self.dog_velocities: Array = np.zeros((world.dogs, 2))
         self.periods = 0
         self.initial_spread = float(spread(single(self.state.x)))
         self._process, self._sensor = flock.spawn(2)
