@@ -187,7 +187,8 @@ class RecedingHorizon:
         limit = self.control.optimiser.max_iterations
         for substeps in sorted({1, coarse.substeps}):
             model = replace(coarse, dt=coarse.interval / substeps, substeps=substeps)
-            times = np.linspace(0.0, horizon.length, horizon.intervals * substeps + 1)
+            steps = horizon.intervals * substeps
+            times = model.dt * np.arange(steps + 1, dtype=np.float64)
             route = reference(self.control.reference, centre(coarse.state.x), self.goal, times)
             objective = Objective(
                 weights.centre, weights.spread, weights.control, route, no_control
