@@ -8,7 +8,7 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
-    package_data={package_name: ['py.typed', 'nodes/fastdds.xml']},
+    package_data={package_name: ['py.typed', 'nodes/fastdds.xml', 'studies/pages/*.md']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
@@ -33,6 +33,7 @@ setup(
             'recorder = herding_ros.nodes.recorder:main',
             'report = herding_ros.report.cli:main',
             'sim = herding_ros.nodes.sim:main',
+            'study = herding_ros.studies.cli:main',
         ],
     },
 )

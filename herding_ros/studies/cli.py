@@ -1,0 +1,206 @@
+"""The program `study`: regenerates the paper's tables and figures, and ours."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import os
+from pathlib import Path
+import signal
+import sys
+import time
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from . import baselines, dogs, stabilisation, stochasticity, symmetry
+from .reproduction import page, single
+from .runner import compute, Outcome
+from .store import Store
+from .study import Options, Results, Study
+from .task import Task
+
+STUDIES: dict[str, Study] = {
+    'stochasticity': stochasticity,
+    'dogs': dogs,
+    'stabilisation': stabilisation,
+    'symmetry': symmetry,
+    'baselines': baselines,
+}
+
+_DONE, _FAILED, _BAD_ARGUMENTS, _INTERRUPTED = 0, 1, 2, 130
+_LINE_EVERY = 10.0
+"""Time between two lines where there is no terminal to draw a bar on [s]."""
+
+
+def _positive(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f'{text} is given, allowed is an integer of at least 1')
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    names = '\n'.join(f'  {name:15}{study.DESCRIPTION}' for name, study in STUDIES.items())
+    parser = argparse.ArgumentParser(
+        prog='study',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description=(
+            "Regenerate the paper's tables and figures, and what goes beyond them.\n\n"
+            f'studies:\n{names}\n  {"all":15}all of these, and one page about them\n\n'
+            'A study is a list of tasks. Each result is kept in a file as soon as it is there,\n'
+            'so that an interrupted study goes on where it was, and nothing is computed twice:\n'
+            'with all results there, a study only draws. Results of other versions of the code\n'
+            'that computes are never used.'
+        ),
+        epilog=(
+            'examples:\n'
+            '  study symmetry                         a minute; writes studies/symmetry.md\n'
+            '  study dogs --seeds 5                   a quarter of it\n'
+            '  study all --quick --out /tmp/try       does everything work?\n'
+            '  study all --results studies/results --out doc\n'
+            '  study all --scheduler tcp://host:8786  on a Dask cluster\n\n'
+            'exit code: 0 done, 1 a task failed, 2 bad arguments, 130 interrupted by Ctrl-C'
+        ),
+    )
+    add = parser.add_argument
+    add('name', nargs='?', choices=[*STUDIES, 'all'], metavar='NAME', help='the study, or all')
+    add('--list', action='store_true', help='list the studies with their sizes, and end')
+    add('--seeds', type=_positive, metavar='N', help='take the seeds 0 to N - 1')
+    add('--paths', type=_positive, metavar='N', help='Monte Carlo paths of a plan (100)')
+    add(
+        '--jobs', type=_positive, metavar='N', default=len(os.sched_getaffinity(0)),
+        help='processes that compute (one for each core)',
+    )  # fmt: skip
+    add(
+        '--scheduler', metavar='ADDRESS',
+        help='compute on the workers of this Dask scheduler, with the same herding_ros installed',
+    )  # fmt: skip
+    add(
+        '--out', type=Path, metavar='DIR', default=Path('studies'),
+        help='folder for pages and figures (studies)',
+    )  # fmt: skip
+    add('--results', type=Path, metavar='DIR', help='folder of the results (DIR of --out/results)')
+    add('--quick', action='store_true', help='tiny sizes: does it work?')
+    add('--draw', action='store_true', help='compute nothing, draw what is there')
+    return parser
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the program; see --help for the exit codes."""
+    parser = _parser()
+    given = parser.parse_args(args)
+    options = Options(given.seeds, given.paths, given.quick)
+    console = Console(highlight=False, soft_wrap=True)
+    if given.list:
+        _list(options, console)
+        return _DONE
+    if given.name is None:
+        parser.error(f'NAME is missing, allowed is {", ".join([*STUDIES, "all"])}')
+    names = list(STUDIES) if given.name == 'all' else [given.name]
+    store = Store(given.results or given.out / 'results')
+    wanted = {name: STUDIES[name].tasks(options) for name in names}
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    try:
+        given.out.mkdir(parents=True, exist_ok=True)
+        failed = 0
+        if not given.draw:
+            every = {task.key: task for tasks in wanted.values() for task in tasks}
+            todo = [task for task in every.values() if store.load(task) is None]
+            done = len(every) - len(todo)
+            console.print(
+                f'{len(every)} tasks, {done} of them done already, about '
+                f'{_duration(sum(task.cost for task in todo))} of one core to go; '
+                f'results in {store.folder}'
+            )
+            if todo:
+                failed = _compute(todo, store, console, given.jobs, given.scheduler)
+        _write(given.name, wanted, store, given.out, console)
+    except KeyboardInterrupt:
+        console.print('interrupted; what was done is kept, and the same command goes on from it')
+        return _INTERRUPTED
+    except (OSError, RuntimeError) as error:
+        print(f'study: {error}', file=sys.stderr)
+        return _BAD_ARGUMENTS if isinstance(error, OSError) else _FAILED
+    return _FAILED if failed else _DONE
+
+
+def _list(options: Options, console: Console) -> None:
+    for name, study in STUDIES.items():
+        tasks = study.tasks(options)
+        cost = _duration(sum(task.cost for task in tasks))
+        console.print(f'{name:15}{study.DESCRIPTION} ({len(tasks)} tasks, {cost} of one core)')
+
+
+def _compute(
+    todo: Sequence[Task], store: Store, console: Console, jobs: int, scheduler: str | None
+) -> int:
+    """Compute tasks and keep their results; return how many failed."""
+    # The longest first, so that at the end no core waits for a long one.
+    todo = sorted(todo, key=lambda task: -task.cost)
+    all_cost, cost, failures = sum(task.cost for task in todo), 0.0, 0
+    begun = shown = time.monotonic()
+    with Progress(
+        BarColumn(), TextColumn('{task.description}'), TimeElapsedColumn(),
+        console=console, disable=not console.is_terminal,
+    ) as bar:  # fmt: skip
+        line = bar.add_task(f'0 of {len(todo)}', total=all_cost)
+        for count, outcome in enumerate(compute(todo, jobs, scheduler), 1):
+            failures += not _keep(outcome, store, console)
+            cost += outcome.task.cost
+            now = time.monotonic()
+            left = (now - begun) * (all_cost - cost) / cost
+            words = f'{count} of {len(todo)}, about {_duration(left)} left'
+            bar.update(line, completed=cost, description=words)
+            if not console.is_terminal and (now - shown > _LINE_EVERY or count == len(todo)):
+                shown = now
+                console.print(words)
+    if failures:
+        console.print(f'{failures} of {len(todo)} tasks failed', style='red')
+    return failures
+
+
+def _keep(outcome: Outcome, store: Store, console: Console) -> bool:
+    """Keep a result, or say what went wrong; return whether there is one."""
+    task, error = outcome.task, outcome.error
+    if outcome.result is not None:
+        try:
+            store.keep(task, outcome.result, outcome.seconds)
+        except ValueError as refusal:
+            error = f'its result cannot be kept: {refusal}'
+    if error:
+        console.print(f'failed: {task.kind} {task.parameters}', style='red', markup=False)
+        console.print(error, markup=False)
+    return not error
+
+
+def _write(
+    name: str, wanted: dict[str, list[Task]], store: Store, out: Path, console: Console
+) -> None:
+    """Draw what the stored results hold, and write the page."""
+    sections, missing = {}, 0
+    for each, tasks in wanted.items():
+        loaded = [(task, store.load(task)) for task in tasks]
+        found = [(task, result) for task, result in loaded if result is not None]
+        missing += len(loaded) - len(found)
+        sections[each] = STUDIES[each].draw(Results(found), out / 'figures')
+    if missing:
+        console.print(f'{missing} results are missing from what is drawn', style='red')
+    path = out / ('reproduction.md' if name == 'all' else f'{name}.md')
+    content = page(sections) if name == 'all' else single(name, sections[name])
+    path.write_text(content, encoding='utf-8')
+    console.print(f'written: {path}')
+
+
+def _duration(seconds: float) -> str:
+    """Say a time in the unit that fits."""
+    if seconds < 90.0:
+        return f'{seconds:.0f} s'
+    return f'{seconds / 60.0:.0f} min' if seconds < 5400.0 else f'{seconds / 3600.0:.1f} h'
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,104 @@
+"""One window of Table 1: a flock, its dogs, and the noise that a plan has to cope with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.parameters import Control
+from herding_ros.control.receding_horizon import RecedingHorizon, Window
+from herding_ros.model.ensemble import expected_positions, noise_paths
+from herding_ros.model.flock import centre
+from herding_ros.model.parameters import Crowd
+from herding_ros.model.scenario import GOAL, initial_herd
+from herding_ros.model.state import Array, HerdState
+
+_AT_ONCE = 100
+"""Paths whose noise is in memory at a time."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """The first window of the reference scenario, for a noise and a seed.
+
+    The seed gives the flock, and two independent sets of noise paths: those that a method sees
+    (seen), and those on which it is judged.
+    """
+
+    sheep: int
+    dogs: int
+    sigma: float
+    seed: int
+    control: Control
+
+    @cached_property
+    def crowd(self) -> Crowd:
+        """The sheep."""
+        return Crowd(noise=self.sigma)
+
+    @cached_property
+    def state(self) -> HerdState:
+        """Where everyone is at the start."""
+        rng = np.random.default_rng(self.seed)
+        return initial_herd(self.sheep, self.dogs, np.array(GOAL), rng)
+
+    @property
+    def seen(self) -> int:
+        """Seed of the noise paths that a method sees: that of RecedingHorizon's generator."""
+        return 10_000 + self.seed
+
+    @cached_property
+    def coarse(self) -> CoarseModel:
+        """The model without noise."""
+        horizon = self.control.horizon
+        return CoarseModel(self.crowd, self.state, horizon.dt, horizon.substeps)
+
+    @cached_property
+    def deterministic(self) -> Window:
+        """The plan without noise, u_c."""
+        mapping = replace(self.control.mapping, max_iterations=0)
+        return self.plan(replace(self.control, mapping=mapping))
+
+    def plan(self, control: Control) -> Window:
+        """Return what the controller plans, with the noise that is seen."""
+        return RecedingHorizon(self.crowd, control, np.array(GOAL), self.seen).solve(
+            self.state, 0.0
+        )
+
+    def error(self, centres: Array) -> float:
+        """|X - x_c| in L2(0, T) [m s^0.5] of expected centres (K+1, 2) [m]."""
+        difference = centres - self.deterministic.centre
+        return float(np.sqrt(self.coarse.dt * np.square(difference).sum()))
+
+    def judge(self, u: Array, paths: int) -> tuple[Array, float]:
+        """Return expected centres (K+1, 2) [m] under u on noise that no method has seen.
+
+        And how far they are from the true expectation, which many more paths would give: an
+        estimate in the norm of `error`, from groups of 100 paths.
+        """
+        rng = np.random.default_rng([self.seed, 20_000])
+        groups = []
+        for _ in range(max(paths // _AT_ONCE, 2)):
+            noise = noise_paths(
+                rng, self.crowd, self.sheep, self.coarse.dt,
+                len(u) * self.coarse.substeps, min(_AT_ONCE, paths),
+            )  # fmt: skip
+            mean = expected_positions(
+                self.crowd, self.state, u, self.coarse.dt, self.coarse.substeps, noise
+            )
+            groups.append(centre(mean))
+        variance = np.var(groups, axis=0, ddof=1) / len(groups)
+        return np.mean(groups, axis=0), float(np.sqrt(self.coarse.dt * variance.sum()))
+
+    def judged(self, u: Array, paths: int) -> dict[str, float]:
+        """Return the error on unseen noise, and the error of that error, under JSON names."""
+        centres, uncertainty = self.judge(u, paths)
+        return {'error': self.error(centres), 'uncertainty': uncertainty}
+
+    def trace(self, centres: Array) -> list[list[float]]:
+        """Return centres every 0.5 s, rounded, for a picture."""
+        every = max(round(0.5 / self.coarse.dt), 1)
+        return [[round(float(value), 5) for value in point] for point in centres[::every]]

@@ -1,0 +1,94 @@
+"""Direct optimisation of the fine model: what a mapping could reach, and what it costs."""
+
+from __future__ import annotations
+
+from functools import partial
+import math
+from typing import Any
+
+import numpy as np
+
+from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.parameters import Control
+from herding_ros.control.spg import spg
+from herding_ros.model import kernels
+from herding_ros.model.admissible import project
+from herding_ros.model.dynamics import physics, rollout
+from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.flock import centre
+from herding_ros.model.state import Array
+
+from .case import Case
+from .settings import changed
+
+_TOLERANCE = 1e-4
+
+
+def pathwise_gradient(
+    model: CoarseModel, noise: NoisePaths, wanted: Array, u: Array
+) -> tuple[float, Array]:
+    """Return |X(u) - wanted|^2 / 2 in L2(0, T), X the mean centre over the paths; its gradient.
+
+    The sample average is a deterministic function of u. Its derivative is the mean over the
+    paths of the derivatives along each path, by the reverse sweep with that path's noise. As
+    the source is known only when all paths are, all trajectories are kept. wanted: (K+1, 2) [m];
+    the gradient is that in L2(0, T), in the shape of u (intervals, M, 2).
+    """
+    trajectories = [
+        rollout(model.crowd, model.state, u, model.dt, model.substeps, noise.path(i))
+        for i in range(noise.paths)
+    ]
+    n = trajectories[0].n
+    difference = np.mean([centre(each.x) for each in trajectories], axis=0) - wanted
+    source = np.zeros_like(trajectories[0].xs)
+    source[1:, :, :n] = model.dt / (n * noise.paths) * difference[1:, :, None]
+    gradient = np.zeros_like(u)
+    constants = physics(model.crowd, n, model.dt)
+    for each in trajectories:
+        kernels.adjoint(each.xs, each.ds, source, model.substeps, constants, gradient)
+    value = 0.5 * model.dt * float(np.square(difference[1:]).sum())
+    return value, gradient / model.interval
+
+
+def run(
+    sheep: int,
+    dogs: int,
+    sigma: float,
+    seed: int,
+    paths: int,
+    iterations: int,
+    judge_paths: int,
+    control: dict[str, Any],
+) -> dict[str, Any]:
+    """Minimise the error of the expected centre itself, on the paths that a mapping sees.
+
+    Starts from the deterministic plan, as a mapping does. errors are those of each gradient
+    that was taken; each costs a rollout and a reverse sweep of every path.
+    """
+    case = Case(sheep, dogs, sigma, seed, changed(Control(), control))
+    u_coarse, wanted = case.deterministic.plan.u, case.deterministic.centre
+    noise = noise_paths(
+        np.random.default_rng(case.seen), case.crowd, sheep, case.coarse.dt, len(wanted) - 1, paths
+    )
+    errors: list[float] = []
+    # In units of the first value the projected gradient has a size that says something.
+    model = case.coarse
+    positions = expected_positions(
+        case.crowd, case.state, u_coarse, model.dt, model.substeps, noise
+    )
+    first = 0.5 * case.error(centre(positions)) ** 2
+
+    def value_and_gradient(u: Array) -> tuple[float, Array]:
+        value, gradient = pathwise_gradient(model, noise, wanted, u)
+        errors.append(math.sqrt(2.0 * value))
+        return value / first, gradient / first
+
+    admissible = partial(project, max_speed=case.control.max_speed)
+    found = spg(value_and_gradient, admissible, u_coarse, model.inner, _TOLERANCE, iterations)
+    return {
+        'status': found.status.value,
+        'before': errors[0],
+        'after': min(errors),
+        'errors': errors,
+        'judged': case.judged(found.u, judge_paths),
+    }

@@ -1,0 +1,82 @@
+"""The heuristic of Strömbom et al. (2014): collect strays, else drive from behind.
+
+D. Strömbom, R. P. Mann, A. M. Wilson, S. Hailes, A. J. Morton, D. J. T. Sumpter, A. J. King,
+Solving the shepherding problem: heuristics for herding autonomous, interacting agents, Journal
+of the Royal Society Interface 11 (2014) 20140719. Written from the published rules. What is
+published, with r_a the distance that sheep keep from each other and N their number:
+
+- If all sheep are within f(N) = r_a N^(2/3) of their centre, drive: run to the point r_a
+  sqrt(N) behind the centre, as seen from the destination.
+- Else collect: run to the point r_a behind the sheep that is farthest from the centre, as seen
+  from the centre.
+- Within 3 r_a of any sheep, run slowly: 0.3 r_a instead of 1.5 m in a time step, r_a = 2 m.
+- Directions have noise: a random unit vector times e = 0.3 is added before normalising.
+
+Ours: there are several dogs. Strays are collected by as many dogs as there are strays, the
+farthest strays first; the others drive, from posts side by side on an arc behind the flock. Dogs
+take the posts so that their ways are shortest in sum. With one dog these are the published rules.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from herding_ros.model.flock import centre
+from herding_ros.model.state import Array, HerdState
+
+
+@dataclass
+class Strombom:
+    """The heuristic as a policy.
+
+    goal: (2,) [m]; max_speed [m/s]; sheep_distance: r_a [m]; slow: fraction of max_speed near
+    sheep; noise: e; arc: angle between neighbouring drivers, seen from the flock's centre [rad].
+    """
+
+    goal: Array
+    rng: np.random.Generator
+    max_speed: float = 0.05
+    sheep_distance: float = 0.2
+    slow: float = 0.4
+    noise: float = 0.3
+    arc: float = 0.45
+
+    def __call__(self, observed: HerdState, t: float) -> Array:
+        """Return the dogs' velocities (M, 2) [m/s]."""
+        posts = self.posts(observed.x, len(observed.d))
+        ways = np.linalg.norm(observed.d[:, None] - posts, axis=-1)
+        _, taken = linear_sum_assignment(ways)
+        way = posts[taken] - observed.d
+        left = np.linalg.norm(way, axis=1, keepdims=True)
+        angle = self.rng.uniform(0.0, 2.0 * np.pi, len(way))
+        heading = _unit(way) + self.noise * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        gaps = np.linalg.norm(observed.d[:, None] - observed.x, axis=-1).min(axis=1)
+        speed = np.where(gaps < 3.0 * self.sheep_distance, self.slow, 1.0) * self.max_speed
+        # A dog that has less than a control period's way to go would run to and fro.
+        return _unit(heading) * np.minimum(speed[:, None], left / _PATIENCE)
+
+    def posts(self, x: Array, dogs: int) -> Array:
+        """Return where dogs are wanted (dogs, 2) [m] for sheep at x (N, 2) [m]."""
+        r, n, middle = self.sheep_distance, len(x), centre(x)
+        away = np.linalg.norm(x - middle, axis=1)
+        strays = [i for i in np.argsort(-away, kind='stable') if away[i] > r * n ** (2.0 / 3.0)]
+        strays = strays[:dogs]
+        collect = x[strays] + r * _unit(x[strays] - middle)
+        drivers = dogs - len(strays)
+        back = np.arctan2(*(middle - self.goal)[::-1])
+        angles = back + self.arc * (np.arange(drivers) - 0.5 * (drivers - 1))
+        drive = middle + r * np.sqrt(n) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        return np.concatenate([collect, drive])
+
+
+_PATIENCE = 0.1
+"""A post that is nearer than what a dog runs in this time [s] is approached more slowly."""
+
+
+def _unit(vectors: Array) -> Array:
+    """Return vectors (n, 2) at length 1; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)

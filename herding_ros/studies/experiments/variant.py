@@ -1,0 +1,145 @@
+"""The paper's Algorithm 1 put together from its parts, to see what each of them does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+import math
+from typing import Any
+
+import numpy as np
+
+from herding_ros.control.ncg import ncg
+from herding_ros.control.objective import Objective
+from herding_ros.control.parameters import Control
+from herding_ros.control.solution import Solution
+from herding_ros.control.space_mapping import aggressive
+from herding_ros.control.spg import spg
+from herding_ros.model.admissible import project
+from herding_ros.model.ensemble import expected_positions, noise_paths
+from herding_ros.model.flock import centre
+from herding_ros.model.state import Array
+
+from .case import Case
+from .settings import changed
+
+_OPTIMISERS = {'spg': spg, 'ncg': ncg}
+
+_TOLERANCE = 1e-5
+_MAX_ITERATIONS = 200
+"""Extraction is solved well, so that a variant is not judged by half-done solves.
+
+The tolerance is the length of a step for NCG, of the projected gradient for SPG.
+"""
+
+
+def extraction(case: Case, optimiser: str, observable: str) -> Callable[[Array, Array], Solution]:
+    """Return parameter extraction T as the paper has it: (centres, start) -> coarse control.
+
+    Minimises the cost with the fine model's centres (K+1, 2) [m] as reference and u_c as
+    reference control, over centres ('centre') or, as printed, over all individuals.
+    """
+    control = case.control
+    weights = {'centre': (1.0, 0.0), 'individuals': (1.0, 1.0)}[observable]
+    admissible = partial(project, max_speed=control.max_speed)
+
+    def extract(target: Array, start: Array) -> Solution:
+        anchor = case.deterministic.plan.u
+        objective = Objective(*weights, control.weights.control, target, anchor)
+        return _OPTIMISERS[optimiser](
+            partial(case.coarse.value_and_gradient, objective),
+            admissible,
+            start,
+            case.coarse.inner,
+            _TOLERANCE,
+            _MAX_ITERATIONS,
+        )
+
+    return extract
+
+
+def run(
+    sheep: int,
+    dogs: int,
+    sigma: float,
+    seed: int,
+    paths: int,
+    judge_paths: int,
+    iterations: int,
+    control: dict[str, Any],
+    optimiser: str,
+    observable: str,
+    common_noise: bool,
+    broyden: bool,
+) -> dict[str, Any]:
+    """Map one window by Algorithm 1 with some of its parts exchanged.
+
+    optimiser: 'spg' or 'ncg', for parameter extraction; observable: 'centre' or 'individuals';
+    common_noise: the same paths in each evaluation of the fine model, or new ones; broyden: the
+    quasi-Newton update, or B = I throughout. before and after are what the method believes, on
+    the noise it saw; judged is the truth about the control it chose.
+    """
+    case = Case(sheep, dogs, sigma, seed, changed(Control(), control))
+    model, u_coarse = case.coarse, case.deterministic.plan.u
+    rng = np.random.default_rng(case.seen)
+    steps = len(u_coarse) * model.substeps
+    draw = partial(noise_paths, rng, case.crowd, sheep, model.dt, steps, paths)
+    common = draw() if common_noise else None
+    calls = 0
+
+    def fine(u: Array) -> Array:
+        noise = draw() if common is None else common
+        return centre(
+            expected_positions(case.crowd, case.state, u, model.dt, model.substeps, noise)
+        )
+
+    solve = extraction(case, optimiser, observable)
+
+    def extract(target: Array, start: Array) -> Array:
+        nonlocal calls
+        found = solve(target, start)
+        calls += found.calls
+        return found.u
+
+    admissible = partial(project, max_speed=case.control.max_speed)
+    if broyden:
+        mapped = aggressive(
+            fine, extract, case.error, admissible, u_coarse, model.inner, 0.0, -1e9, iterations
+        )
+        u, misfits, residual = mapped.u, list(mapped.misfits), mapped.residuals[0]
+    else:
+        u, misfits, residual = _plain(case, fine, extract, admissible, u_coarse, iterations)
+    return {
+        'before': misfits[0],
+        'after': min(misfits),
+        'misfits': misfits,
+        'first_residual': residual,
+        'calls': {'fine': len(misfits), 'extraction': calls},
+        'judged': case.judged(u, judge_paths),
+    }
+
+
+def _plain(
+    case: Case,
+    fine: Callable[[Array], Array],
+    extract: Callable[[Array, Array], Array],
+    admissible: Callable[[Array], Array],
+    u_coarse: Array,
+    iterations: int,
+) -> tuple[Array, list[float], float]:
+    """Iterate u <- P(u - (T(u) - u_c)): Algorithm 1 with B = I. Return the best, as it does."""
+    u = extracted = best = u_coarse
+    misfits: list[float] = []
+    first = 0.0
+    for k in range(iterations + 1):
+        output = fine(u)
+        misfits.append(case.error(output))
+        if misfits[-1] == min(misfits):
+            best = u
+        extracted = extract(output, extracted)
+        residual = extracted - u_coarse
+        if k == 0:
+            norms = case.coarse.inner(residual, residual), case.coarse.inner(u_coarse, u_coarse)
+            first = math.sqrt(norms[0] / norms[1])
+        u = admissible(u - residual)
+    return best, misfits, first

@@ -1,0 +1,119 @@
+"""Means, fractions and medians, each with what is known of its error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from scipy import stats
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean and its standard error, which is NaN for a single value."""
+
+    value: float
+    error: float
+    count: int
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Mean:
+        """Take them of independent values; of none, all is NaN."""
+        n = len(values)
+        value = float(np.mean(values)) if n else math.nan
+        error = float(np.std(values, ddof=1)) / math.sqrt(n) if n > 1 else math.nan
+        return cls(value, error, n)
+
+    def __str__(self) -> str:
+        """Return `value ± error`, the error with two digits and the value to the same place."""
+        if math.isnan(self.value):
+            return '–'
+        if math.isnan(self.error) or self.error == 0.0:
+            return significant(self.value)
+        place = 1 - math.floor(math.log10(self.error))
+        if self.value and abs(self.value) < 1e-2:
+            exponent = math.floor(math.log10(abs(self.value)))
+            scale, place = 10.0**exponent, max(place + exponent, 0)
+            return f'({self.value / scale:.{place}f} ± {self.error / scale:.{place}f})e{exponent}'
+        place = max(place, 0)
+        return f'{self.value:.{place}f} ± {self.error:.{place}f}'
+
+
+@dataclass(frozen=True)
+class Fraction:
+    """How many of all, with the exact (Clopper and Pearson) 95 % confidence interval."""
+
+    successes: int
+    count: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, outcomes: Sequence[bool]) -> Fraction:
+        """Take it of independent outcomes."""
+        k, n = sum(map(bool, outcomes)), len(outcomes)
+        if not n:
+            return cls(0, 0, 0.0, 1.0)
+        interval = stats.binomtest(k, n).proportion_ci(0.95, method='exact')
+        return cls(k, n, float(interval.low), float(interval.high))
+
+    @property
+    def value(self) -> float:
+        """The fraction itself; NaN of nothing."""
+        return self.successes / self.count if self.count else math.nan
+
+    def __str__(self) -> str:
+        """Return `k of n (low to high %)`."""
+        if not self.count:
+            return '–'
+        low, high = 100.0 * self.low, 100.0 * self.high
+        return f'{self.successes} of {self.count} ({low:.0f} to {high:.0f} %)'
+
+
+@dataclass(frozen=True)
+class Median:
+    """A median with its 95 % confidence interval from order statistics.
+
+    Infinity is a value like any other, so that what has not ended yet can be counted in. The
+    ends of the interval are infinite as well when there are too few values to say better.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Median:
+        """Take it of independent values; of none, all is NaN."""
+        if not len(values):
+            return cls(math.nan, math.nan, math.nan)
+        ordered = np.sort(np.asarray(values, dtype=float))
+        n = len(ordered)
+        # The number of values below the true median is binomial, whatever their distribution.
+        rank = int(stats.binom.ppf(0.025, n, 0.5))
+        middle = ordered[(n - 1) // 2], ordered[n // 2]
+        value = middle[0] if middle[0] == middle[1] else 0.5 * (middle[0] + middle[1])
+        if rank == 0:
+            return cls(float(value), -math.inf, math.inf)
+        return cls(float(value), float(ordered[rank - 1]), float(ordered[n - rank]))
+
+    def __str__(self) -> str:
+        """Return `median (low to high)`."""
+        if math.isnan(self.value):
+            return '–'
+        low = 'less' if self.low == -math.inf else significant(self.low)
+        high = 'more' if self.high == math.inf else significant(self.high)
+        value = 'never' if self.value == math.inf else significant(self.value)
+        return f'{value} ({low} to {high})'
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Return a value with so many significant digits."""
+    if not math.isfinite(value):
+        return '–'
+    size = math.floor(math.log10(abs(value))) if value else 0
+    if value and (size < -2 or size > 5):
+        return f'{value:.{digits - 1}e}'.replace('e-0', 'e-').replace('e+0', 'e')
+    return f'{value:.{max(digits - 1 - size, 0)}f}'
