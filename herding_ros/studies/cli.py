@@ -103,7 +103,9 @@ def main(args: list[str] | None = None) -> int:
     names = list(STUDIES) if given.name == 'all' else [given.name]
     store = Store(given.results or given.out / 'results')
     wanted = {name: STUDIES[name].tasks(options) for name in names}
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    # Both end as Ctrl-C does, which a shell ignores for what it starts in the background.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         given.out.mkdir(parents=True, exist_ok=True)
         failed = 0
