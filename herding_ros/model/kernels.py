@@ -165,6 +165,11 @@ def _pull_round(
     n: int,
     p: MorseCoefficients,
 ) -> None:
+    """Exchange pulls with the next in the ring, the second next, ... up to half-way round.
+
+    xs, ys are the positions twice one after the other, bx, by take the reactions. Rows come as
+    arguments, since every slice in a caller costs two atomic reference counts.
+    """
     for s in range(1, n // 2 + 1):
         count = n if 2 * s < n else s  # half-way round, one pull of two
         m = lanes(count)
@@ -490,6 +495,7 @@ def _hessians_round(
     n: int,
     p: MorseCoefficients,
 ) -> None:
+    """Go round the ring as `_pull_round` does."""
     for s in range(1, n // 2 + 1):
         count = n if 2 * s < n else s
         m = lanes(count)
