@@ -30,7 +30,7 @@ from .spg import spg
 
 _T = TypeVar('_T')
 
-_OPTIMISERS = {'spg': spg, 'ncg': ncg}
+OPTIMISERS = {'spg': spg, 'ncg': ncg}
 
 _NODE_SPACING = 0.5
 """Time between the instants at which parameter extraction compares centres [s].
@@ -148,9 +148,10 @@ class RecedingHorizon:
         coarse = CoarseModel(self.crowd, state, horizon.dt, horizon.substeps)
         with clock.phase('coarse'):
             solution = self._solve_coarse(coarse, t)
-            wanted = centre(coarse.rollout(solution.u).x)
+            coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
+            wanted = coarse_centre(solution.u)
         if control.mapping.max_iterations:
-            mapping, extractions = self._map(coarse, solution.u, wanted, clock)
+            mapping, extractions = self._map(coarse, coarse_centre, solution.u, clock)
         else:
             mapping = MappingResult(solution.u, wanted, Status.CONVERGED, (), ())
             extractions = 0
@@ -206,7 +207,7 @@ class RecedingHorizon:
         self, coarse: CoarseModel, objective: Objective, start: Array, max_iterations: int
     ) -> Solution:
         optimiser = self.control.optimiser
-        return _OPTIMISERS[optimiser.method](
+        return OPTIMISERS[optimiser.method](
             partial(coarse.value_and_gradient, objective),
             self._admissible,
             start,
@@ -219,11 +220,16 @@ class RecedingHorizon:
         return project(u, self.control.max_speed)
 
     def _map(
-        self, coarse: CoarseModel, u_coarse: Array, wanted: Array, clock: _Stopwatch
+        self,
+        coarse: CoarseModel,
+        coarse_centre: Callable[[Array], Array],
+        u_coarse: Array,
+        clock: _Stopwatch,
     ) -> tuple[MappingResult, int]:
         """Correct the coarse optimum for the noise; also return the coarse solves' rollouts."""
         horizon, mapping = self.control.horizon, self.control.mapping
         gamma = self.control.weights.control
+        wanted = coarse_centre(u_coarse)
         noise = self._common_noise(len(coarse.state.x), len(wanted) - 1)
         every = max(round(_NODE_SPACING / horizon.dt), 1)
         calls = 0
@@ -234,10 +240,6 @@ class RecedingHorizon:
                     self.crowd, coarse.state, u, horizon.dt, horizon.substeps, noise
                 )
                 return centre(mean)
-
-        @_remembering
-        def coarse_centre(u: Array) -> Array:
-            return centre(coarse.rollout(u).x)
 
         @_remembering
         def sensitivity(u: Array) -> CentreSensitivity:

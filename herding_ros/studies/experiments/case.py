@@ -10,7 +10,7 @@ import numpy as np
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
-from herding_ros.model.ensemble import expected_positions, noise_paths
+from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
 from herding_ros.model.flock import centre
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.scenario import GOAL, initial_herd
@@ -73,6 +73,18 @@ class Case:
         difference = centres - self.deterministic.centre
         return float(np.sqrt(self.coarse.dt * np.square(difference).sum()))
 
+    def draw(self, rng: np.random.Generator, paths: int) -> NoisePaths:
+        """Draw the noise of so many paths over the window."""
+        horizon = self.control.horizon
+        steps = horizon.intervals * horizon.substeps
+        return noise_paths(rng, self.crowd, self.sheep, horizon.dt, steps, paths)
+
+    def expected_centre(self, u: Array, noise: NoisePaths) -> Array:
+        """Return the mean centre (K+1, 2) [m] under u over the paths of the noise."""
+        coarse = self.coarse
+        mean = expected_positions(self.crowd, self.state, u, coarse.dt, coarse.substeps, noise)
+        return centre(mean)
+
     def judge(self, u: Array, paths: int) -> tuple[Array, float]:
         """Return expected centres (K+1, 2) [m] under u on noise that no method has seen.
 
@@ -80,16 +92,10 @@ class Case:
         estimate in the norm of `error`, from groups of 100 paths.
         """
         rng = np.random.default_rng([self.seed, 20_000])
-        groups = []
-        for _ in range(max(paths // _AT_ONCE, 2)):
-            noise = noise_paths(
-                rng, self.crowd, self.sheep, self.coarse.dt,
-                len(u) * self.coarse.substeps, min(_AT_ONCE, paths),
-            )  # fmt: skip
-            mean = expected_positions(
-                self.crowd, self.state, u, self.coarse.dt, self.coarse.substeps, noise
-            )
-            groups.append(centre(mean))
+        groups = [
+            self.expected_centre(u, self.draw(rng, min(_AT_ONCE, paths)))
+            for _ in range(max(paths // _AT_ONCE, 2))
+        ]
         variance = np.var(groups, axis=0, ddof=1) / len(groups)
         return np.mean(groups, axis=0), float(np.sqrt(self.coarse.dt * variance.sum()))
 

@@ -14,7 +14,7 @@ from herding_ros.control.spg import spg
 from herding_ros.model import kernels
 from herding_ros.model.admissible import project
 from herding_ros.model.dynamics import physics, rollout
-from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.ensemble import NoisePaths
 from herding_ros.model.flock import centre
 from herding_ros.model.state import Array
 
@@ -67,16 +67,11 @@ def run(
     """
     case = Case(sheep, dogs, sigma, seed, changed(Control(), control))
     u_coarse, wanted = case.deterministic.plan.u, case.deterministic.centre
-    noise = noise_paths(
-        np.random.default_rng(case.seen), case.crowd, sheep, case.coarse.dt, len(wanted) - 1, paths
-    )
+    noise = case.draw(np.random.default_rng(case.seen), paths)
     errors: list[float] = []
     # In units of the first value the projected gradient has a size that says something.
     model = case.coarse
-    positions = expected_positions(
-        case.crowd, case.state, u_coarse, model.dt, model.substeps, noise
-    )
-    first = 0.5 * case.error(centre(positions)) ** 2
+    first = 0.5 * case.error(case.expected_centre(u_coarse, noise)) ** 2
 
     def value_and_gradient(u: Array) -> tuple[float, Array]:
         value, gradient = pathwise_gradient(model, noise, wanted, u)

@@ -9,21 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.control.ncg import ncg
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
+from herding_ros.control.receding_horizon import OPTIMISERS
 from herding_ros.control.solution import Solution
 from herding_ros.control.space_mapping import aggressive
-from herding_ros.control.spg import spg
 from herding_ros.model.admissible import project
-from herding_ros.model.ensemble import expected_positions, noise_paths
-from herding_ros.model.flock import centre
 from herding_ros.model.state import Array
 
 from .case import Case
 from .settings import changed
-
-_OPTIMISERS = {'spg': spg, 'ncg': ncg}
 
 _TOLERANCE = 1e-5
 _MAX_ITERATIONS = 200
@@ -46,7 +41,7 @@ def extraction(case: Case, optimiser: str, observable: str) -> Callable[[Array, 
     def extract(target: Array, start: Array) -> Solution:
         anchor = case.deterministic.plan.u
         objective = Objective(*weights, control.weights.control, target, anchor)
-        return _OPTIMISERS[optimiser](
+        return OPTIMISERS[optimiser](
             partial(case.coarse.value_and_gradient, objective),
             admissible,
             start,
@@ -82,16 +77,11 @@ def run(
     case = Case(sheep, dogs, sigma, seed, changed(Control(), control))
     model, u_coarse = case.coarse, case.deterministic.plan.u
     rng = np.random.default_rng(case.seen)
-    steps = len(u_coarse) * model.substeps
-    draw = partial(noise_paths, rng, case.crowd, sheep, model.dt, steps, paths)
-    common = draw() if common_noise else None
+    common = case.draw(rng, paths) if common_noise else None
     calls = 0
 
     def fine(u: Array) -> Array:
-        noise = draw() if common is None else common
-        return centre(
-            expected_positions(case.crowd, case.state, u, model.dt, model.substeps, noise)
-        )
+        return case.expected_centre(u, case.draw(rng, paths) if common is None else common)
 
     solve = extraction(case, optimiser, observable)
 
