@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -10,17 +11,12 @@ from benchmark.goals import Goal, GOALS
 from benchmark.memory import IMPLEMENTATIONS
 from benchmark.problem import DOGS, SHEEP
 from benchmark.results import Entry, Results, significant, Spread
+from herding_ros.studies import markdown
 
 NOT_MEASURED = 'not measured'
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a Markdown table, or that there is nothing to show."""
-    rows = list(rows)
-    if not rows:
-        return f'*{NOT_MEASURED}*'
-    lines = [head, ['---'] * len(head), *rows]
-    return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
+table = partial(markdown.table, nothing=NOT_MEASURED)
 
 
 def median(seconds: Sequence[float], per: float) -> str:

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Sequence
 from .study import Goal, Row
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table, or a word that there is nothing to show."""
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], nothing: str = 'no results') -> str:
+    """Return a table, or the words for that there is nothing to show."""
     rows = list(rows)
     if not rows:
-        return '*no results*'
+        return f'*{nothing}*'
     lines = [head, ['---'] * len(head), *rows]
     return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
 
