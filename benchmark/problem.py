@@ -13,7 +13,6 @@ from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import reference
 from herding_ros.model.admissible import project
 from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
-from herding_ros.model.flock import centre
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array
@@ -59,9 +58,8 @@ class Problem:
         """The cost of a window."""
         control = Control()
         weights = control.weights
-        start = centre(self.coarse.state.x)
         times = np.arange(self.steps + 1.0) * DT
-        wanted = reference(control.reference, start, np.array(GOAL), times)
+        wanted = reference(control.reference, self.coarse.state, np.array(GOAL), times)
         return Objective(
             weights.centre, weights.spread, weights.control, wanted, np.zeros_like(self.u)
         )

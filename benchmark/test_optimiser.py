@@ -15,7 +15,6 @@ from herding_ros.control.receding_horizon import reference
 from herding_ros.control.solution import ValueAndGradient
 from herding_ros.control.spg import spg
 from herding_ros.model.admissible import project
-from herding_ros.model.flock import centre
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.simulation import Simulation, World
@@ -45,8 +44,9 @@ class Race:
             control.weights.centre,
             control.weights.spread,
             control.weights.control,
-            reference(control.reference, centre(state.x), goal, times),
+            reference(control.reference, state, goal, times),
             self.start,
+            control.weights.dogs,
         )
         self.target = -np.inf
         best = spg(*self._problem(), control.optimiser.tolerance, control.optimiser.max_iterations)

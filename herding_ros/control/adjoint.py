@@ -49,13 +49,11 @@ class CoarseModel:
         the reverse sweep through the Euler scheme (nu is -xi_3 of the paper).
         """
         trajectory = self.rollout(u)
-        value, source = objective.value_and_source(trajectory, u, self.interval)
+        value, source, direct = objective.value_and_derivatives(trajectory, u, self.interval)
         gradient = np.zeros_like(u)
         constants = physics(self.crowd, trajectory.n, self.dt)
         kernels.adjoint(trajectory.xs, trajectory.ds, source, self.substeps, constants, gradient)
-        gradient /= self.interval
-        gradient += objective.control_weight * (u - objective.control_reference)
-        return value, gradient
+        return value, gradient / self.interval + direct
 
     def centre_sensitivity(self, u: Array, every: int) -> CentreSensitivity:
         """Return the derivative of the sheep's centre at u, at every so many-th step.

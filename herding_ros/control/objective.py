@@ -14,12 +14,14 @@ from herding_ros.model.state import Array, Trajectory
 class Objective:
     """Tracking cost of a trajectory x of N sheep under a control u.
 
-    J = int a/2 |xc - Z|^2 + b/(2N) sum_i |x_i - xc|^2 + gamma/2 |u - u_ref|^2 dt
+    J = int a/2 |xc - Z|^2 + b/(2N) sum_i |x_i - xc|^2
+            + gamma/2 |u - u_ref|^2 + c/2 sum_m |d_m - Z|^2 dt
 
     with xc the centre of mass, a = centre_weight, b = spread_weight, gamma = control_weight,
-    Z = reference (K+1, 2) [m] and u_ref = control_reference (intervals, M, 2) [m/s]. Since
-    1/N sum |x_i - Z|^2 = |xc - Z|^2 + 1/N sum |x_i - xc|^2, the paper's cost is a = b = 1.
-    Integrals are right-hand Riemann sums: the start cannot be changed and costs nothing.
+    c = dogs_weight, Z = reference (K+1, 2) [m] and u_ref = control_reference (intervals, M, 2)
+    [m/s]. Since 1/N sum |x_i - Z|^2 = |xc - Z|^2 + 1/N sum |x_i - xc|^2, the paper's cost is
+    a = b = 1, c = 0. Integrals are right-hand Riemann sums: the start cannot be changed and
+    costs nothing.
     """
 
     centre_weight: float
@@ -27,13 +29,17 @@ class Objective:
     control_weight: float
     reference: Array
     control_reference: Array
+    dogs_weight: float = 0.0
 
-    def value_and_source(
+    def value_and_derivatives(
         self, trajectory: Trajectory, u: Array, interval: float
-    ) -> tuple[float, Array]:
-        """Return J and its partial derivative with respect to x, shape of trajectory.xs.
+    ) -> tuple[float, Array, Array]:
+        """Return J and its derivatives at fixed controls and at fixed sheep.
 
-        interval [s] is the time for which each u (intervals, M, 2) [m/s] is held.
+        The first is the partial derivative with respect to x, shape of trajectory.xs; the
+        second the gradient in L2(0, T) of the cost of controls and dogs, shape of u, since a
+        dog is where its control has brought it. interval [s] is the time for which each u
+        (intervals, M, 2) [m/s] is held.
         """
         source = np.empty_like(trajectory.xs)
         tracking = kernels.tracking_cost(
@@ -47,4 +53,12 @@ class Objective:
         )
         change = u - self.control_reference
         effort = 0.5 * interval * self.control_weight * float(np.square(change).sum())
-        return tracking + effort, source
+        direct = self.control_weight * change
+        if not self.dogs_weight:
+            return tracking + effort, source, direct
+        away = trajectory.d[1:] - self.reference[1:, None]
+        leash = 0.5 * trajectory.dt * self.dogs_weight * float(np.square(away).sum())
+        # Each control moves its dog at all later instants.
+        later = trajectory.dt * self.dogs_weight * np.cumsum(away[::-1], axis=0)[::-1]
+        direct += later.reshape(len(u), -1, *u.shape[1:]).mean(axis=1)
+        return tracking + effort + leash, source, direct

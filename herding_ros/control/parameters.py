@@ -9,11 +9,16 @@ from herding_ros.model.parameters import Parameters, quantity, TINY
 
 @dataclass(frozen=True)
 class Weights(Parameters):
-    """What the cost weighs; 1, 1 and 1e-2 are the paper's."""
+    """What the cost weighs; the paper's are 1, 1, 1e-2 and 0."""
 
     centre: float = quantity(3.0, "weight of the centre's distance from its reference", low=0.0)
-    spread: float = quantity(1.0, "weight of the sheep's distance from their centre", low=0.0)
+    spread: float = quantity(3.0, "weight of the sheep's distance from their centre", low=0.0)
     control: float = quantity(1e-2, 'weight gamma of the control', 's^2', low=TINY)
+    dogs: float = quantity(
+        3e-3,
+        "weight of each dog's distance from the reference; keeps dogs from running off",
+        low=0.0,
+    )
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,16 @@ class Reference(Parameters):
         'or (interpolated, as in the paper) what reaches it within one horizon',
         choices=('attainable', 'interpolated'),
     )
-    speed: float = quantity(0.02, 'speed of the attainable reference', 'm/s', low=TINY)
+    speed: float = quantity(
+        0.025,
+        'speed of the attainable reference with three dogs or more and a flock within `spread`; '
+        'fewer dogs and a wider flock slow it down',
+        'm/s',
+        low=TINY,
+    )
+    spread: float = quantity(
+        0.33, 'spread of the flock beyond which the attainable reference slows down', 'm', low=TINY
+    )
 
 
 @dataclass(frozen=True)
@@ -131,7 +145,7 @@ class Control(Parameters):
 
 
 PAPER = Control(
-    weights=Weights(centre=1.0, spread=1.0),
+    weights=Weights(centre=1.0, spread=1.0, dogs=0.0),
     reference=Reference(kind='interpolated'),
     optimiser=Optimiser(tolerance=5e-3),
     mapping=Mapping(method='aggressive'),

@@ -13,8 +13,8 @@ import numpy as np
 
 from herding_ros.model.admissible import project
 from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
-from herding_ros.model.flock import centre
-from herding_ros.model.parameters import Crowd
+from herding_ros.model.flock import centre, spread
+from herding_ros.model.parameters import Crowd, TINY
 from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping
@@ -37,6 +37,10 @@ _NODE_SPACING = 0.5
 
 Sheep answer within 1 / friction = 2 s: a centre moves smoothly in between.
 """
+_ENCLOSING = 3
+"""Dogs that can stand around a flock; fewer have to run from side to side."""
+_STEEPNESS = 4
+"""How steeply the pace falls with the spread: by half when the flock is a fifth wider."""
 _EXTRACTION_TOLERANCE = 1e-4
 _EXTRACTION_ITERATIONS = 5
 
@@ -83,18 +87,30 @@ class Window:
     dogs: Array
 
 
-def reference(kind: Reference, start: Array, goal: Array, times: Array) -> Array:
+def pace(kind: Reference, state: HerdState) -> float:
+    """Return the speed [m/s] at which these dogs can drive this flock and keep it together.
+
+    It grows with the dogs up to the three that can stand around a flock, and falls steeply
+    once the flock is wide, so that gathering comes before driving. It never falls to zero.
+    """
+    dogs = min(len(state.d) / _ENCLOSING, 1.0)
+    width = min((kind.spread / max(float(spread(state.x)), TINY)) ** _STEEPNESS, 1.0)
+    return kind.speed * dogs * width
+
+
+def reference(kind: Reference, state: HerdState, goal: Array, times: Array) -> Array:
     """Return where the centre is asked to be at the given times [s] of a window, (K+1, 2) [m].
 
-    'interpolated' (paper, remark on the receding horizon) moves from start to goal at constant
-    speed within the window; 'attainable' moves at a speed that sheep can keep, and waits.
+    'interpolated' (paper, remark on the receding horizon) moves from the centre to the goal at
+    constant speed within the window; 'attainable' moves at the `pace` of the flock, and waits.
     """
+    start = centre(state.x)
     way = goal - start
     length = float(np.linalg.norm(way))
     if kind.kind == 'interpolated':
         fraction = times / times[-1]
     else:
-        fraction = np.minimum(kind.speed * times / max(length, 1e-12), 1.0)
+        fraction = np.minimum(pace(kind, state) * times / max(length, TINY), 1.0)
     return start + fraction[:, None] * way
 
 
@@ -190,9 +206,9 @@ class RecedingHorizon:
             model = replace(coarse, dt=coarse.interval / substeps, substeps=substeps)
             steps = horizon.intervals * substeps
             times = model.dt * np.arange(steps + 1, dtype=np.float64)
-            route = reference(self.control.reference, centre(coarse.state.x), self.goal, times)
+            route = reference(self.control.reference, coarse.state, self.goal, times)
             objective = Objective(
-                weights.centre, weights.spread, weights.control, route, no_control
+                weights.centre, weights.spread, weights.control, route, no_control, weights.dogs
             )
             solutions.append(self._optimise(model, objective, u, limit))
             u = solutions[-1].u

@@ -34,6 +34,7 @@ def problem(random_herd: HerdMaker) -> Callable[..., Problem]:
             10.0 ** rng.uniform(-6.0, -3.0),
             rng.normal(0.0, 1.0, (intervals * substeps + 1, 2)),
             rng.normal(0.0, 0.05, shape),
+            0.0 if observable else rng.uniform(0.0, 1.0),
         )
         return coarse, objective, rng.normal(0.0, 0.05, shape)
 
@@ -117,6 +118,7 @@ def test_where_dogs_cannot_matter_only_the_control_counts(
     problem: Callable[..., Problem],
 ) -> None:
     coarse, objective, u = problem('cohesive', 5, 2, 1)
+    objective = dataclasses.replace(objective, dogs_weight=0.0)
     far = HerdState(coarse.state.x, coarse.state.v, coarse.state.d + 1e3)
     _, gradient = dataclasses.replace(coarse, state=far).value_and_gradient(objective, u)
     expected = objective.control_weight * (u - objective.control_reference)

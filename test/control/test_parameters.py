@@ -62,7 +62,7 @@ def test_time_grids_fit_into_each_other() -> None:
 
 
 def test_paper_is_the_papers_own_setting() -> None:
-    assert PAPER.weights == Weights(centre=1.0, spread=1.0, control=1e-2)
+    assert PAPER.weights == Weights(centre=1.0, spread=1.0, control=1e-2, dogs=0.0)
     assert PAPER.max_speed == 5e-2
     assert PAPER.reference.kind == 'interpolated'
     assert (PAPER.horizon.length, PAPER.horizon.accepted) == (20.0, 10.0)
