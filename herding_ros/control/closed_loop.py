@@ -3,66 +3,87 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.simulation import Simulation, World
-from herding_ros.model.state import Array, finite
+from herding_ros.model.state import Array, finite, HerdState
 
 from .parameters import Control
 from .receding_horizon import RecedingHorizon, SolveReport
+
+Policy = Callable[[HerdState, float], Array]
+"""What decides: from the observed state and the time [s] to the dogs' velocities (M, 2) [m/s]."""
 
 
 @dataclass(frozen=True)
 class Run:
     """A run of T control periods, as it truly was.
 
-    t: (T+1,) [s]; x: (T+1, N, 2) [m]; d: (T+1, M, 2) [m]; u: (T, M, 2) [m/s].
+    t: (T+1,) [s]; x: (T+1, N, 2) [m]; d: (T+1, M, 2) [m]; u: (T, M, 2) [m/s]; home: index of
+    the first instant at which the flock had arrived, or None; reports: of the planner's solves.
     """
 
-    arrived: bool
     t: Array
     x: Array
     d: Array
     u: Array
-    reports: tuple[SolveReport, ...]
+    home: int | None
+    reports: tuple[SolveReport, ...] = ()
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the flock has arrived at some time."""
+        return self.home is not None
+
+
+class Planner:
+    """Receding-horizon control as a policy; keeps its reports."""
+
+    def __init__(self, crowd: Crowd, control: Control, goal: Array, seed: int) -> None:
+        """Plan for this crowd and goal (2,) [m]."""
+        self._planner = RecedingHorizon(crowd, control, goal, seed)
+        self.reports: list[SolveReport] = []
+
+    def __call__(self, observed: HerdState, t: float) -> Array:
+        """Return the velocities at t, after a new plan if one is due."""
+        if self._planner.due(t):
+            self.reports.append(self._planner.solve(observed, t).report)
+        assert self._planner.plan is not None
+        return self._planner.plan.at(t)
+
+
+def play(simulation: Simulation, policy: Policy, time_limit: float, stop: bool = True) -> Run:
+    """Herd by a policy for time_limit [s], with stop only until the flock arrives.
+
+    All policies see the same observations of the same flock under the same noise.
+    """
+    world = simulation.world
+    t, x, d, u = [0.0], [simulation.state.x], [simulation.state.d], []
+    home = 0 if simulation.arrived else None
+    while not (stop and home is not None) and t[-1] < time_limit - 0.5 * world.control_period:
+        simulation.advance(policy(simulation.observe().state, t[-1]))
+        t.append(simulation.nanoseconds * 1e-9)
+        x.append(simulation.state.x)
+        d.append(simulation.state.d)
+        u.append(simulation.dog_velocities)
+        if home is None and simulation.arrived:
+            home = len(u)
+    velocities = np.array(u).reshape(-1, world.dogs, 2)
+    return Run(np.array(t), np.array(x), np.array(d), velocities, home)
 
 
 def closed_loop(
-    crowd: Crowd,
-    world: World,
-    control: Control,
-    goal: Array,
-    time_limit: float,
-    progress: Callable[[Simulation], None] | None = None,
+    crowd: Crowd, world: World, control: Control, goal: Array, time_limit: float
 ) -> Run:
-    """Herd until the flock arrives, or for time_limit [s].
+    """Herd by receding-horizon control until the flock arrives, or for time_limit [s].
 
     Observation noise, control period and all random numbers are those of the ROS graph in
     lockstep, and so is the result, bit for bit.
     """
     simulation = Simulation(crowd, world, finite('goal', goal, (2,)))
-    planner = RecedingHorizon(crowd, control, goal, world.seed)
-    t, x, d, u, reports = [0.0], [simulation.state.x], [simulation.state.d], [], []
-    while not simulation.arrived and t[-1] < time_limit - 0.5 * world.control_period:
-        observed = simulation.observe().state
-        if planner.due(t[-1]):
-            reports.append(planner.solve(observed, t[-1]).report)
-        assert planner.plan is not None
-        simulation.advance(planner.plan.at(t[-1]))
-        t.append(simulation.nanoseconds * 1e-9)
-        x.append(simulation.state.x)
-        d.append(simulation.state.d)
-        u.append(simulation.dog_velocities)
-        if progress is not None:
-            progress(simulation)
-    return Run(
-        simulation.arrived,
-        np.array(t),
-        np.array(x),
-        np.array(d),
-        np.array(u).reshape(-1, world.dogs, 2),
-        tuple(reports),
-    )
+    planner = Planner(crowd, control, goal, world.seed)
+    run = play(simulation, planner, time_limit)
+    return replace(run, reports=tuple(planner.reports))

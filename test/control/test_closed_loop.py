@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from herding_ros.control.closed_loop import closed_loop, Run
+from herding_ros.control.closed_loop import closed_loop, Planner, play, Run
 from herding_ros.control.parameters import Control, Horizon, Mapping
 from herding_ros.model.parameters import Crowd
 from herding_ros.model.simulation import Simulation, World
@@ -66,21 +66,37 @@ def test_run_repeats_bit_for_bit() -> None:
 
 
 def test_run_is_what_the_simulation_did() -> None:
-    world, seen = World(sheep=9, dogs=2, seed=1), []
-    run = closed_loop(
-        Crowd(noise=0.02), world, SMALL, GOAL, 10.0, lambda sim: seen.append(sim.state.x)
-    )
+    world = World(sheep=9, dogs=2, seed=1)
+    run = short_run(world)
     assert run.x.shape == (101, 9, 2)
     assert run.d.shape == (101, 2, 2)
     assert run.u.shape == (100, 2, 2)
     np.testing.assert_allclose(run.t, 0.1 * np.arange(101), rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(run.x[1:], seen)
     np.testing.assert_allclose(np.diff(run.d, axis=0), 0.1 * run.u, rtol=0, atol=1e-14)
     assert len(run.reports) == 3  # at 0, 4 and 8 s
     again = Simulation(Crowd(noise=0.02), world, GOAL)
     for u, x in zip(run.u, run.x[1:], strict=True):
         again.advance(u)
         np.testing.assert_array_equal(again.state.x, x)
+
+
+def test_a_policy_that_repeats_the_commands_repeats_the_run() -> None:
+    world = World(sheep=9, dogs=2, seed=1)
+    run, simulation = short_run(world), Simulation(Crowd(noise=0.02), world, GOAL)
+    again = play(simulation, lambda observed, t: run.u[round(t / 0.1)], 10.0)
+    for field in ('t', 'x', 'd', 'u', 'home'):
+        np.testing.assert_array_equal(getattr(again, field), getattr(run, field))
+
+
+def test_a_run_can_go_on_after_the_arrival() -> None:
+    world = World(sheep=9, dogs=3, seed=1)
+    short = closed_loop(Crowd(), world, SMALL, GOAL, 100.0)
+    planner = Planner(Crowd(), SMALL, GOAL, world.seed)
+    long = play(Simulation(Crowd(), world, GOAL), planner, short.t[-1] + 5.0, stop=False)
+    assert short.arrived
+    assert long.home == short.home == len(short.u)
+    assert len(long.u) == len(short.u) + 50
+    np.testing.assert_array_equal(long.x[: len(short.x)], short.x)
 
 
 def test_plans_are_made_from_what_the_sensors_see() -> None:

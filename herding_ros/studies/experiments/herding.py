@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 import time
 from typing import Any
 
 import numpy as np
 
+from herding_ros.control.closed_loop import Planner, play, Policy, Run
 from herding_ros.control.parameters import Control
-from herding_ros.control.receding_horizon import RecedingHorizon, SolveReport
+from herding_ros.control.receding_horizon import SolveReport
 from herding_ros.model.flock import centre, distance, spread
 from herding_ros.model.parameters import Crowd, Morse
 from herding_ros.model.simulation import Simulation, World
@@ -20,66 +20,22 @@ from herding_ros.model.state import Array, HerdState
 from .settings import changed
 from .strombom import Strombom
 
-Policy = Callable[[HerdState, float], Array]
-"""What decides: from the observed state and the time [s] to the dogs' velocities (M, 2) [m/s]."""
 
+class _Stopwatch:
+    """A policy with the processor time [s] that it takes.
 
-@dataclass(frozen=True)
-class Track:
-    """What happened in T control periods, as it truly was.
-
-    t: (T+1,) [s]; x: (T+1, N, 2) [m]; d: (T+1, M, 2) [m]; u: (T, M, 2) [m/s]; home: index of
-    the first instant at which the flock had arrived, or None; cpu: what the policy took [s].
+    Time of this process on all its cores: what others do on the machine does not count.
     """
 
-    t: Array
-    x: Array
-    d: Array
-    u: Array
-    home: int | None
-    cpu: float
-
-
-class Planner:
-    """The controller of this package as a policy; keeps its reports."""
-
-    def __init__(self, crowd: Crowd, control: Control, goal: Array, seed: int) -> None:
-        """Plan for this crowd and goal (2,) [m]."""
-        self._planner = RecedingHorizon(crowd, control, goal, seed)
-        self.reports: list[SolveReport] = []
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+        self.seconds = 0.0
 
     def __call__(self, observed: HerdState, t: float) -> Array:
-        """Return the velocities at t, after a new plan if one is due."""
-        if self._planner.due(t):
-            self.reports.append(self._planner.solve(observed, t).report)
-        assert self._planner.plan is not None
-        return self._planner.plan.at(t)
-
-
-def play(simulation: Simulation, policy: Policy, time_limit: float, stop: bool) -> Track:
-    """Herd for time_limit [s], with stop only until the flock arrives.
-
-    With the planner as policy this is `control.closed_loop`, bit for bit; other policies see
-    the same observations of the same flock under the same noise.
-    """
-    world, cpu = simulation.world, 0.0
-    t, x, d, u = [0.0], [simulation.state.x], [simulation.state.d], []
-    home = 0 if simulation.arrived else None
-    while not (stop and home is not None) and t[-1] < time_limit - 0.5 * world.control_period:
-        observed = simulation.observe().state
-        # Time of this process on all its cores: what others do on the machine does not count.
         started = time.process_time()
-        command = policy(observed, t[-1])
-        cpu += time.process_time() - started
-        simulation.advance(command)
-        t.append(simulation.nanoseconds * 1e-9)
-        x.append(simulation.state.x)
-        d.append(simulation.state.d)
-        u.append(simulation.dog_velocities)
-        if home is None and simulation.arrived:
-            home = len(u)
-    velocities = np.array(u).reshape(-1, world.dogs, 2)
-    return Track(np.array(t), np.array(x), np.array(d), velocities, home, cpu)
+        u = self._policy(observed, t)
+        self.seconds += time.process_time() - started
+        return u
 
 
 def run(
@@ -113,8 +69,10 @@ def run(
         decide = _stand
     else:
         raise ValueError(f'policy is {policy!r}, allowed is planner, strombom or none')
-    track = play(Simulation(crowd, world, destination), decide, time_limit, stop)
+    timed = _Stopwatch(decide)
+    track = play(Simulation(crowd, world, destination), timed, time_limit, stop)
     result = measures(track, destination, world.control_period)
+    result['policy_cpu'] = timed.seconds
     if isinstance(decide, Planner):
         result['plans'] = plans(decide.reports)
     result['paths'] = paths(track, destination, max(round(every / world.control_period), 1))
@@ -131,7 +89,7 @@ def _stand(observed: HerdState, t: float) -> Array:
     return np.zeros_like(observed.d)
 
 
-def measures(track: Track, goal: Array, period: float) -> dict[str, Any]:
+def measures(track: Run, goal: Array, period: float) -> dict[str, Any]:
     """Return what one wants to know of a run. Lengths in m, times in s, energy in m^2/s.
 
     dogs_run: way of all dogs; energy: int sum |u_m|^2 dt; from_home: what held from the
@@ -150,13 +108,12 @@ def measures(track: Track, goal: Array, period: float) -> dict[str, Any]:
         'final_distance': float(away[-1]),
         'dogs_run': float(period * speed.sum()),
         'energy': float(period * np.square(speed).sum()),
-        'policy_cpu': track.cpu,
         'from_home': None if home is None else held(track, spreads, away, home, period),
     }
 
 
 def held(
-    track: Track, spreads: Array, away: Array, home: int, period: float
+    track: Run, spreads: Array, away: Array, home: int, period: float
 ) -> dict[str, Any] | None:
     """Return what held from the instant number `home` on; None if nothing came after it.
 
@@ -193,7 +150,7 @@ def plans(reports: list[SolveReport]) -> dict[str, Any]:
     }
 
 
-def paths(track: Track, goal: Array, every: int) -> dict[str, Any]:
+def paths(track: Run, goal: Array, every: int) -> dict[str, Any]:
     """Return the run at every so many-th instant, and at the last, rounded, for pictures."""
     index = sorted({*range(0, len(track.t), every), len(track.t) - 1})
     x = track.x[index]
