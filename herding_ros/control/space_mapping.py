@@ -90,6 +90,7 @@ def aggressive(
     tolerance: float,
     min_decrease: float,
     max_iterations: int,
+    quasi_newton: bool = True,
 ) -> MappingResult:
     """Find u_f with T(u_f) = u_c, where T(u) = extract(fine(u)).
 
@@ -100,7 +101,8 @@ def aggressive(
     `tolerance`, or decreased by less than `min_decrease`, or after `max_iterations`.
 
     Each step solves B h = -(T(u_f) - u_c) and projects u_f + h. The secant of the update
-    uses the step actually taken, which with the projection differs from h.
+    uses the step actually taken, which with the projection differs from h. Without
+    quasi_newton there is no update: B = I throughout.
     """
     scale = math.sqrt(inner(u_coarse, u_coarse)) or 1.0
     broyden = Broyden(inner)
@@ -130,7 +132,8 @@ def aggressive(
         extracted = extract(output, extracted)
         previous, residual = residual, extracted - u_coarse
         residuals.append(math.sqrt(inner(residual, residual)) / scale)
-        broyden.update(step, residual - previous)
+        if quasi_newton:
+            broyden.update(step, residual - previous)
     return MappingResult(best[1], best[2], status, tuple(residuals), tuple(misfits))
 
 

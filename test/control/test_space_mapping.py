@@ -119,6 +119,7 @@ class Affine:
         tolerance: float = 1e-9,
         min_decrease: float = -1e9,
         max_iterations: int = 30,
+        quasi_newton: bool = True,
     ) -> MappingResult:
         return aggressive(
             self.fine,
@@ -130,6 +131,7 @@ class Affine:
             tolerance,
             min_decrease,
             max_iterations,
+            quasi_newton,
         )
 
 
@@ -161,6 +163,15 @@ def test_residuals_and_misfits_are_those_of_the_iterates() -> None:
     )
     assert found.iterations == 3
     assert found.status is Status.ITERATION_LIMIT
+
+
+def test_without_quasi_newton_every_step_is_the_residual() -> None:
+    problem = Affine(6, 0.5, 0)
+    problem.mapped(max_iterations=4, quasi_newton=False)
+    assert len(problem.seen) == 5
+    for u, following in zip(problem.seen[:-1], problem.seen[1:], strict=True):
+        expected = u - (problem.a @ u.ravel() + problem.b).reshape(SHAPE) + problem.u_coarse
+        np.testing.assert_allclose(following, expected, rtol=0, atol=1e-15)
 
 
 def test_with_active_limits_every_iterate_is_admissible_and_the_best_is_returned() -> None:

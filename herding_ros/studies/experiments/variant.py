@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-import math
 from typing import Any
 
 import numpy as np
@@ -92,44 +91,23 @@ def run(
         return found.u
 
     admissible = partial(project, max_speed=case.control.max_speed)
-    if broyden:
-        mapped = aggressive(
-            fine, extract, case.error, admissible, u_coarse, model.inner, 0.0, -1e9, iterations
-        )
-        u, misfits, residual = mapped.u, list(mapped.misfits), mapped.residuals[0]
-    else:
-        u, misfits, residual = _plain(case, fine, extract, admissible, u_coarse, iterations)
+    mapped = aggressive(
+        fine,
+        extract,
+        case.error,
+        admissible,
+        u_coarse,
+        model.inner,
+        tolerance=0.0,
+        min_decrease=-1e9,
+        max_iterations=iterations,
+        quasi_newton=broyden,
+    )
     return {
-        'before': misfits[0],
-        'after': min(misfits),
-        'misfits': misfits,
-        'first_residual': residual,
-        'calls': {'fine': len(misfits), 'extraction': calls},
-        'judged': case.judged(u, judge_paths),
+        'before': mapped.misfits[0],
+        'after': min(mapped.misfits),
+        'misfits': list(mapped.misfits),
+        'first_residual': mapped.residuals[0],
+        'calls': {'fine': len(mapped.misfits), 'extraction': calls},
+        'judged': case.judged(mapped.u, judge_paths),
     }
-
-
-def _plain(
-    case: Case,
-    fine: Callable[[Array], Array],
-    extract: Callable[[Array, Array], Array],
-    admissible: Callable[[Array], Array],
-    u_coarse: Array,
-    iterations: int,
-) -> tuple[Array, list[float], float]:
-    """Iterate u <- P(u - (T(u) - u_c)): Algorithm 1 with B = I. Return the best, as it does."""
-    u = extracted = best = u_coarse
-    misfits: list[float] = []
-    first = 0.0
-    for k in range(iterations + 1):
-        output = fine(u)
-        misfits.append(case.error(output))
-        if misfits[-1] == min(misfits):
-            best = u
-        extracted = extract(output, extracted)
-        residual = extracted - u_coarse
-        if k == 0:
-            norms = case.coarse.inner(residual, residual), case.coarse.inner(u_coarse, u_coarse)
-            first = math.sqrt(norms[0] / norms[1])
-        u = admissible(u - residual)
-    return best, misfits, first
