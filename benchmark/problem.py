@@ -10,7 +10,7 @@ import numpy as np
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
-from herding_ros.control.receding_horizon import reference
+from herding_ros.control.reference import reference
 from herding_ros.model.admissible import project
 from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
 from herding_ros.model.parameters import Crowd

@@ -11,7 +11,7 @@ from benchmark.peers import scipy_lbfgsb
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
-from herding_ros.control.receding_horizon import reference
+from herding_ros.control.reference import reference
 from herding_ros.control.solution import ValueAndGradient
 from herding_ros.control.spg import spg
 from herding_ros.model.admissible import project
