@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from herding_ros.studies.statistics import significant
+
 Entry = dict[str, Any]
 """What one benchmark recorded: `what` it measured, the case, and its figures."""
 
@@ -30,12 +32,6 @@ class Spread:
         """Return `median (quartile to quartile)`."""
         low, median, high = map(significant, (self.low, self.median, self.high))
         return f'{median} ({low} to {high})'
-
-
-def significant(value: float, digits: int = 3) -> str:
-    """Return value with so many significant digits, without an exponent."""
-    decimals = max(digits - 1 - int(np.floor(np.log10(abs(value)))), 0) if value else 0
-    return f'{value:.{decimals}f}'
 
 
 @dataclass(frozen=True)

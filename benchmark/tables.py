@@ -10,8 +10,9 @@ import numpy as np
 from benchmark.goals import Goal, GOALS
 from benchmark.memory import IMPLEMENTATIONS
 from benchmark.problem import DOGS, SHEEP
-from benchmark.results import Entry, Results, significant, Spread
+from benchmark.results import Entry, Results, Spread
 from herding_ros.studies import markdown
+from herding_ros.studies.statistics import significant
 
 NOT_MEASURED = 'not measured'
 
