@@ -122,9 +122,9 @@ def _distributions(runs: _Runs, figures: Path) -> str:
                     [arrived[0], *arrived, limit], [0.0, *steps, steps[-1]], where='post',
                     color=colour, label=f'{dogs} dog' + 's' * (dogs > 1),
                 )  # fmt: skip
-        axes[row, column].set(ylim=(0.0, 1.03), xlabel='time [s]')
-        if axes[row, column].lines:
-            axes[row, column].set_xscale('log')
+        axes[row, column].set(
+            xscale='log', xlim=(20.0, _LIMIT_OF_ONE), ylim=(0.0, 1.03), xlabel='time [s]'
+        )
         axes[row, column].set_title(
             '{}, goal ({:g}, {:g})'.format(_WORDS[name], *goal), fontsize=9
         )
