@@ -46,7 +46,8 @@ class CoarseModel:
         """Return the reduced cost at u and its gradient in L2(0, T), same shape as u.
 
         The gradient is exact for the discrete problem: gamma (u - u_ref) + nu, with nu from
-        the reverse sweep through the Euler scheme (nu is -xi_3 of the paper).
+        the reverse sweep through the Euler scheme (nu is -xi_3 of the paper), and the gradient
+        of the dogs' own cost, which needs no sweep.
         """
         trajectory = self.rollout(u)
         value, source, direct = objective.value_and_derivatives(trajectory, u, self.interval)

@@ -54,11 +54,11 @@ class Objective:
         change = u - self.control_reference
         effort = 0.5 * interval * self.control_weight * float(np.square(change).sum())
         direct = self.control_weight * change
-        if not self.dogs_weight:
-            return tracking + effort, source, direct
-        away = trajectory.d[1:] - self.reference[1:, None]
-        leash = 0.5 * trajectory.dt * self.dogs_weight * float(np.square(away).sum())
-        # Each control moves its dog at all later instants.
-        later = trajectory.dt * self.dogs_weight * np.cumsum(away[::-1], axis=0)[::-1]
-        direct += later.reshape(len(u), -1, *u.shape[1:]).mean(axis=1)
-        return tracking + effort + leash, source, direct
+        value = tracking + effort
+        if self.dogs_weight:
+            away = trajectory.d[1:] - self.reference[1:, None]
+            value += 0.5 * trajectory.dt * self.dogs_weight * float(np.square(away).sum())
+            # Each control moves its dog at all later instants.
+            later = trajectory.dt * self.dogs_weight * np.cumsum(away[::-1], axis=0)[::-1]
+            direct += later.reshape(len(u), -1, *u.shape[1:]).mean(axis=1)
+        return value, source, direct

@@ -21,6 +21,7 @@ from .runs import (
     SUMMARY,
     summary,
     times,
+    under,
     with_mapping,
 )
 from .statistics import Fraction, Mean, significant
@@ -112,23 +113,7 @@ def _runs(results: Results, name: str, dogs: int, sigma: float) -> Results:
     policy, settings = _POLICIES[name]
     if policy == 'none':
         return results.of('herding', policy='none', sigma=sigma)
-    found = results.of('herding', policy=policy, dogs=dogs, sigma=sigma)
-    return Results(
-        [
-            (task, run)
-            for task, run in found.entries
-            if _without_paths(task.parameters['settings']) == settings
-        ]
-    )
-
-
-def _without_paths(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return settings as they are with the usual number of Monte Carlo paths."""
-    if 'paths' not in settings.get('mapping', {}):
-        return settings
-    mapping = {key: value for key, value in settings['mapping'].items() if key != 'paths'}
-    rest = {key: value for key, value in settings.items() if key != 'mapping'}
-    return {**rest, 'mapping': mapping} if mapping else rest
+    return under(settings, results.of('herding', policy=policy, dogs=dogs, sigma=sigma))
 
 
 def _figure(runs: _Runs, herds: list[int], figures: Path) -> str:
@@ -162,15 +147,11 @@ def _figure(runs: _Runs, herds: list[int], figures: Path) -> str:
     return save(figure, figures / 'baselines.png')
 
 
-def _by_seed(runs: Results) -> dict[int, dict[str, Any]]:
-    return {task.parameters['seed']: run for task, run in runs.entries}
-
-
 def _paired_table(runs: _Runs, herds: list[int], sigmas: list[float]) -> str:
     rows = []
     for dogs, sigma in product(herds, sigmas):
         ours, plain = (
-            _by_seed(runs[name, dogs, sigma]) for name in ('our default', 'without mapping')
+            runs[name, dogs, sigma].by_seed() for name in ('our default', 'without mapping')
         )
         seeds = sorted(ours.keys() & plain.keys())
         if not seeds:

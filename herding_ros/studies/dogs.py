@@ -22,6 +22,7 @@ from .runs import (
     summary,
     times,
     tolerant,
+    under,
 )
 from .statistics import Fraction
 from .study import Goal, Options, Results, Row, Section
@@ -72,13 +73,8 @@ def _cost(dogs: int, goal: list[float]) -> float:
 
 def draw(results: Results, figures: Path) -> Section:
     """Make the tables, the distributions and the pictures."""
-    paths = 100
-    for task, _ in results.entries:
-        paths = task.parameters['settings'].get('mapping', {}).get('paths', paths)
     runs = {
-        (name, dogs, tuple(goal)): results.of(
-            'herding', settings=paths_of(settings, paths), dogs=dogs, goal=goal
-        )
+        (name, dogs, tuple(goal)): under(settings, results.of('herding', dogs=dogs, goal=goal))
         for name, settings in _SETTINGS.items()
         for dogs in _PAPER_TIMES
         for goal in _GOALS
@@ -137,14 +133,10 @@ def _pictures(runs: _Runs, name: str, figures: Path) -> str:
     figure, axes = new(3, 2, width=3.4, height=3.2)
     goal = _GOALS[0]
     for place, dogs in zip(axes.flat, _PAPER_TIMES, strict=True):
-        first = [
-            run
-            for task, run in runs[name, dogs, tuple(goal)].entries
-            if task.parameters['seed'] == 0
-        ]
+        first = runs[name, dogs, tuple(goal)].by_seed().get(0)
         if first:
-            end = f'{first[0]["duration"]:.0f} s' + ('' if first[0]['arrived'] else ', not there')
-            draw_run(place, first[0], goal, f'{dogs} dog{"s" * (dogs > 1)}, {end}')
+            end = f'{first["duration"]:.0f} s' + ('' if first['arrived'] else ', not there')
+            draw_run(place, first, goal, f'{dogs} dog{"s" * (dogs > 1)}, {end}')
         else:
             place.set_axis_off()
     return save(figure, figures / f'dogs-trajectories-{name}.png')

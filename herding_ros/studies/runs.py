@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 from herding_ros.control.parameters import Control, PAPER
+from herding_ros.model.flock import ARRIVAL_DISTANCE
 
 from .experiments.settings import differences
 from .statistics import Fraction, Mean, Median, significant
@@ -33,6 +34,17 @@ def paths_of(settings: dict[str, Any], paths: int) -> dict[str, Any]:
     """Return settings with so many Monte Carlo paths."""
     same = paths == Control().mapping.paths
     return settings if same else with_mapping(settings, paths=paths)
+
+
+def under(settings: dict[str, Any], runs: Results) -> Results:
+    """Return the runs under these settings, with any number of Monte Carlo paths."""
+
+    def same(task: Task) -> bool:
+        given = task.parameters['settings']
+        paths = given.get('mapping', {}).get('paths', Control().mapping.paths)
+        return bool(given == paths_of(settings, paths))
+
+    return runs.where(same)
 
 
 def run_task(
@@ -116,7 +128,7 @@ def failures(runs: Results) -> list[tuple[str, ...]]:
         given = task.parameters
         if run['arrived']:
             why = f'arrived after {run["time"]:g} s, but spread up to {run["max_spread"]:.2f} m'
-        elif run['closest'] < 0.05:
+        elif run['closest'] < ARRIVAL_DISTANCE:
             why = 'the centre was there, but not with the flock together'
         else:
             why = 'the centre never got there'

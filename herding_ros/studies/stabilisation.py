@@ -14,7 +14,7 @@ from herding_ros.model.flock import ARRIVAL_DISTANCE, TOGETHER
 
 from .markdown import table
 from .pictures import BLUE, draw_herd, new, save
-from .runs import paths_of, run_task, SETTINGS, with_mapping
+from .runs import paths_of, run_task, SETTINGS, under, with_mapping
 from .statistics import Fraction, Mean, Median
 from .study import Goal, Options, Results, Row, Section
 from .task import Task
@@ -28,11 +28,11 @@ _DOGS = 5
 _HELD_DISTANCE, _HELD_SPREAD = 0.1, 1.2
 
 
-def _settings(name: str, paths: int) -> dict[str, Any]:
+def _settings(name: str) -> dict[str, Any]:
     """Return gamma = 1e-3 and at most two corrections of a plan, as in the paper."""
     settings = SETTINGS[name]
     weights = {**settings.get('weights', {}), 'control': 1e-3}
-    return paths_of(with_mapping({**settings, 'weights': weights}, max_iterations=2), paths)
+    return with_mapping({**settings, 'weights': weights}, max_iterations=2)
 
 
 _WORDS = {'default': 'our default', 'paper': "the paper's setting"}
@@ -44,7 +44,7 @@ def tasks(options: Options) -> list[Task]:
     return [
         run_task(
             'planner',
-            _settings(name, options.path_number(100)),
+            paths_of(_settings(name), options.path_number(100)),
             _DOGS,
             0.01,
             _GOAL,
@@ -61,16 +61,8 @@ def tasks(options: Options) -> list[Task]:
 
 def draw(results: Results, figures: Path) -> Section:
     """Make the table, the snapshots and the courses."""
-    runs = {
-        name: Results(
-            [
-                entry
-                for entry in results.of('herding', stop=False).entries
-                if _same_kind(entry[0].parameters['settings'], name)
-            ]
-        )
-        for name in _WORDS
-    }
+    long = results.of('herding', stop=False)
+    runs = {name: under(_settings(name), long) for name in _WORDS}
     there = {words: runs[name] for name, words in _WORDS.items() if len(runs[name])}
     head = (
         '', 'arrived', 'time [s]', 'distance afterwards, mean [m]', 'its maximum, mean over seeds',
@@ -92,10 +84,6 @@ def draw(results: Results, figures: Path) -> Section:
         ),
     }
     return Section(values, _rows(runs), _goals(runs['default']))
-
-
-def _same_kind(settings: dict[str, Any], name: str) -> bool:
-    return settings == _settings(name, settings.get('mapping', {}).get('paths', 100))
 
 
 def _after(runs: Results) -> list[dict[str, Any]]:
@@ -147,13 +135,9 @@ def _circling(runs: Results) -> list[str]:
     ]
 
 
-def _first(runs: Results) -> dict[str, Any] | None:
-    return next((run for task, run in runs.entries if task.parameters['seed'] == 0), None)
-
-
 def _snapshots(runs: Results, figures: Path) -> str:
     figure, axes = new(3, 2, width=3.4, height=3.2)
-    run = _first(runs)
+    run = runs.by_seed().get(0)
     shots = run['snapshots'] if run else []
     for place in axes.flat[len(shots) :]:
         place.set_axis_off()
@@ -203,8 +187,8 @@ def _goals(runs: Results) -> list[Goal]:
     count = len(runs)
     goals = []
     for text, bound, held in (
-        ('distance', '≤ 0.1 m at all times', _distance_held(runs)),
-        ('spread', '≤ 1.2 times the first at all times', _spread_held(runs)),
+        ('distance', f'≤ {_HELD_DISTANCE} m at all times', _distance_held(runs)),
+        ('spread', f'≤ {_HELD_SPREAD} times the first at all times', _spread_held(runs)),
     ):
         reached = held.successes == count if count >= 20 else None
         goals.append(

@@ -169,31 +169,19 @@ def _paths(parameters: dict[str, Any]) -> int:
 
 def _of(results: Results, name: str) -> Results:
     """Return the windows that were mapped in this way, with any number of paths."""
-    windows = results.of('window').entries
-    return Results(
-        [
-            (task, result)
-            for task, result in windows
-            if task.parameters['control'] == _settings(name, _paths(task.parameters))
-        ]
+    return results.of('window').where(
+        lambda task: task.parameters['control'] == _settings(name, _paths(task.parameters))
     )
 
 
 def _at(windows: Results, paths: int, sigma: float) -> Results:
-    entries = windows.of('window', sigma=sigma).entries
-    return Results([entry for entry in entries if _paths(entry[0].parameters) == paths])
+    return windows.of('window', sigma=sigma).where(lambda task: _paths(task.parameters) == paths)
 
 
 def _pairs(results: Results, output: Results, paths: int, sigma: float) -> list[Pair]:
-    directs = {
-        task.parameters['seed']: result
-        for task, result in results.of('direct', sigma=sigma, paths=paths).entries
-    }
-    return [
-        (result, directs[task.parameters['seed']])
-        for task, result in _at(output, paths, sigma).entries
-        if task.parameters['seed'] in directs
-    ]
+    directs = results.of('direct', sigma=sigma, paths=paths).by_seed()
+    windows = _at(output, paths, sigma).by_seed()
+    return [(window, directs[seed]) for seed, window in windows.items() if seed in directs]
 
 
 def ratios(windows: Results, after: str = 'after', before: str = 'before') -> Mean:
@@ -285,8 +273,10 @@ def _variants(results: Results, paths: int) -> str:
     first = ['none: the deterministic control', '', '', '']
     for sigma in sigmas:
         head += [f'last, seen, σ = {sigma:g}', f'chosen, unseen, σ = {sigma:g}']
-        windows = _at(results, paths, sigma)
-        first += [str(Mean.of(_one_per_seed(windows, key))) for key in ('before', 'judged_before')]
+        # The deterministic control is the same whatever the mapping: once for each flock.
+        windows = _at(results, paths, sigma).by_seed().values()
+        for key in ('before', 'judged_before'):
+            first.append(str(Mean.of([window[key] for window in windows])))
     rows = [[*first, '']]
     for optimiser, observable, common_noise, broyden in product(
         ('spg', 'ncg'), ('centre', 'individuals'), (True, False), (True, False)
@@ -310,13 +300,6 @@ def _variants(results: Results, paths: int) -> str:
             cells.append(str(Mean.of(here.values('judged', 'error'))))
         rows.append([*cells, str(Mean.of(found.values('calls', 'extraction')))])
     return table([*head, 'values and gradients in extraction'], rows)
-
-
-def _one_per_seed(windows: Results, key: str) -> list[float]:
-    """Return a value that does not depend on the mapping, once for each flock."""
-    return list(
-        {task.parameters['seed']: result[key] for task, result in windows.entries}.values()
-    )
 
 
 def _rows(

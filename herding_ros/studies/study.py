@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -36,14 +36,20 @@ class Results:
 
     def of(self, kind: str, **parameters: Any) -> Results:
         """Return those of a kind whose parameters have these values."""
-        return Results(
-            [
-                (task, result)
-                for task, result in self.entries
-                if task.kind == kind
+        return self.where(
+            lambda task: (
+                task.kind == kind
                 and all(task.parameters.get(key) == parameters[key] for key in parameters)
-            ]
+            )
         )
+
+    def where(self, wanted: Callable[[Task], bool]) -> Results:
+        """Return those whose task is wanted."""
+        return Results([(task, result) for task, result in self.entries if wanted(task)])
+
+    def by_seed(self) -> dict[int, Result]:
+        """Return the results by the seeds of their tasks."""
+        return {task.parameters['seed']: result for task, result in self.entries}
 
     def values(self, *path: str) -> list[Any]:
         """Return the value under this path of keys in each result, leaving out None."""

@@ -10,6 +10,7 @@ import numpy as np
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
+from herding_ros.model.admissible import project
 from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
 from herding_ros.model.flock import centre
 from herding_ros.model.parameters import Crowd
@@ -61,6 +62,10 @@ class Case:
         """The plan without noise, u_c."""
         mapping = replace(self.control.mapping, max_iterations=0)
         return self.plan(replace(self.control, mapping=mapping))
+
+    def admissible(self, u: Array) -> Array:
+        """Return the nearest control within the speed limit."""
+        return project(u, self.control.max_speed)
 
     def plan(self, control: Control) -> Window:
         """Return what the controller plans, with the noise that is seen."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 import math
 from typing import Any
 
@@ -12,7 +11,6 @@ from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.parameters import Control
 from herding_ros.control.spg import spg
 from herding_ros.model import kernels
-from herding_ros.model.admissible import project
 from herding_ros.model.dynamics import physics, rollout
 from herding_ros.model.ensemble import NoisePaths
 from herding_ros.model.flock import centre
@@ -78,8 +76,7 @@ def run(
         errors.append(math.sqrt(2.0 * value))
         return value / first, gradient / first
 
-    admissible = partial(project, max_speed=case.control.max_speed)
-    found = spg(value_and_gradient, admissible, u_coarse, model.inner, _TOLERANCE, iterations)
+    found = spg(value_and_gradient, case.admissible, u_coarse, model.inner, _TOLERANCE, iterations)
     return {
         'status': found.status.value,
         'before': errors[0],

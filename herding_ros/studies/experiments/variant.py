@@ -13,7 +13,6 @@ from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import OPTIMISERS
 from herding_ros.control.solution import Solution
 from herding_ros.control.space_mapping import aggressive
-from herding_ros.model.admissible import project
 from herding_ros.model.state import Array
 
 from .case import Case
@@ -33,16 +32,14 @@ def extraction(case: Case, optimiser: str, observable: str) -> Callable[[Array, 
     Minimises the cost with the fine model's centres (K+1, 2) [m] as reference and u_c as
     reference control, over centres ('centre') or, as printed, over all individuals.
     """
-    control = case.control
     weights = {'centre': (1.0, 0.0), 'individuals': (1.0, 1.0)}[observable]
-    admissible = partial(project, max_speed=control.max_speed)
 
     def extract(target: Array, start: Array) -> Solution:
         anchor = case.deterministic.plan.u
-        objective = Objective(*weights, control.weights.control, target, anchor)
+        objective = Objective(*weights, case.control.weights.control, target, anchor)
         return OPTIMISERS[optimiser](
             partial(case.coarse.value_and_gradient, objective),
-            admissible,
+            case.admissible,
             start,
             case.coarse.inner,
             _TOLERANCE,
@@ -90,12 +87,11 @@ def run(
         calls += found.calls
         return found.u
 
-    admissible = partial(project, max_speed=case.control.max_speed)
     mapped = aggressive(
         fine,
         extract,
         case.error,
-        admissible,
+        case.admissible,
         u_coarse,
         model.inner,
         tolerance=0.0,
