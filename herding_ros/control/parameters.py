@@ -33,13 +33,9 @@ class Reference(Parameters):
     )
     speed: float = quantity(
         0.025,
-        'speed of the attainable reference with three dogs or more and a flock within `spread`; '
-        'fewer dogs and a wider flock slow it down',
+        'speed of the attainable reference with three dogs or more; fewer drive in proportion',
         'm/s',
         low=TINY,
-    )
-    spread: float = quantity(
-        0.33, 'spread of the flock beyond which the attainable reference slows down', 'm', low=TINY
     )
 
 
