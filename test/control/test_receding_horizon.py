@@ -202,7 +202,8 @@ def test_solve_goes_on_from_the_last_plan() -> None:
     state = herd(9, 3)
     first = planner.solve(state, 0.0).report
     again = planner.solve(state, 0.0).report
-    assert again.objective <= first.objective
+    # It passes the coarser time grid again, whose optimum is another by a few parts in 1e5.
+    assert again.objective < first.objective * (1.0 + 1e-4)
     assert again.optimiser_calls < first.optimiser_calls
 
 
