@@ -15,7 +15,6 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -140,18 +139,3 @@ def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool
         if publisher.get_subscription_count() < len(subscribers):
             return False
     return True
-
-
-class Refusals:
-    """Bad messages by kind: each kind is logged once and counted."""
-
-    def __init__(self, logger: RcutilsLogger) -> None:
-        """Log to `logger`."""
-        self.counts: dict[str, int] = {}
-        self._logger = logger
-
-    def add(self, kind: str, error: ValueError) -> None:
-        """Count a refused message of a kind, e.g. 'sheep'."""
-        if kind not in self.counts:
-            self._logger.warning(f'refused a message ({kind}): {error}; further ones are counted')
-        self.counts[kind] = self.counts.get(kind, 0) + 1

@@ -26,13 +26,13 @@ from herding_ros.model.warmup import warm_up
 from . import messages
 from .inbox import Inbox
 from .parameters import declare, declare_crowd, NodeSettings
+from .refusals import Refusals
 from .running import (
     ADJUSTABLE,
     CountingPublisher,
     EVERY_MESSAGE,
     is_heard,
     LOCKSTEP_TURN,
-    Refusals,
     run,
     UNWATCHED,
 )
