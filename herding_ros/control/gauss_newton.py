@@ -10,7 +10,16 @@ import numpy as np
 
 from herding_ros.model.state import Array
 
-from .solution import criticality, InnerProduct, Projection, Solution, Status, ValueAndGradient
+from .solution import (
+    criticality,
+    InnerProduct,
+    never,
+    OutOfTime,
+    Projection,
+    Solution,
+    Status,
+    ValueAndGradient,
+)
 from .spg import spg
 
 _INNER_TOLERANCE = 1e-5
@@ -37,6 +46,7 @@ def gauss_newton(
     inner: InnerProduct,
     tolerance: float,
     max_iterations: int,
+    out_of_time: OutOfTime = never,
 ) -> Solution:
     """Minimise |residual(u)|^2 / 2 + weight / 2 |u - anchor|^2 over a convex set.
 
@@ -51,6 +61,9 @@ def gauss_newton(
     status = Status.ITERATION_LIMIT
     iterations = 0
     while iterations < max_iterations:
+        if out_of_time():
+            status = Status.OUT_OF_TIME
+            break
         iterations += 1
         model = _linear_model(r, linearise(u), u, anchor, weight, inner)
         trial = spg(model, project, u, inner, _INNER_TOLERANCE, _INNER_ITERATIONS).u

@@ -6,7 +6,16 @@ import math
 
 from herding_ros.model.state import Array
 
-from .solution import criticality, InnerProduct, Projection, Solution, Status, ValueAndGradient
+from .solution import (
+    criticality,
+    InnerProduct,
+    never,
+    OutOfTime,
+    Projection,
+    Solution,
+    Status,
+    ValueAndGradient,
+)
 
 _SUFFICIENT_DECREASE = 1e-4
 _BACKTRACKS = 40
@@ -19,6 +28,7 @@ def ncg(
     inner: InnerProduct,
     tolerance: float,
     max_iterations: int,
+    out_of_time: OutOfTime = never,
 ) -> Solution:
     """Minimise over a convex set, given the projection onto it.
 
@@ -36,6 +46,9 @@ def ncg(
     if inner(gradient, gradient) == 0.0:
         return Solution(u, value, 0.0, Status.CONVERGED, iterations, calls)
     while iterations < max_iterations:
+        if out_of_time():
+            status = Status.OUT_OF_TIME
+            break
         for _ in range(_BACKTRACKS):
             trial = project(u + size * direction)
             trial_value, trial_gradient = value_and_gradient(trial)

@@ -25,7 +25,7 @@ from .objective import Objective
 from .parameters import Control
 from .plan import Plan
 from .reference import reference
-from .solution import Solution, Status
+from .solution import never, OutOfTime, Solution, Status
 from .space_mapping import MappingResult
 from .spg import spg
 
@@ -127,19 +127,28 @@ class RecedingHorizon:
         """Forget the last plan: the next solve starts from standing dogs."""
         self._last = None
 
-    def solve(self, state: HerdState, t: float) -> Window:
-        """Plan the window that starts at t [s] in the given state."""
+    def adjust(self, crowd: Crowd, control: Control) -> None:
+        """Plan with these from the next solve on."""
+        self.crowd, self.control, self._noise = crowd, control, None
+
+    def solve(self, state: HerdState, t: float, out_of_time: OutOfTime = never) -> Window:
+        """Plan the window that starts at t [s] in the given state.
+
+        Once out_of_time says True the best so far is returned, at the latest after the
+        evaluation of a model that is under way.
+        """
         clock = _Stopwatch()
         control, horizon = self.control, self.control.horizon
         coarse = CoarseModel(self.crowd, state, horizon.dt, horizon.substeps)
         with clock.phase('coarse'):
-            solution = self._solve_coarse(coarse, t)
+            solution = self._solve_coarse(coarse, t, out_of_time)
             coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
             wanted = coarse_centre(solution.u)
-        if control.mapping.max_iterations:
-            mapping, extractions = self._map(coarse, coarse_centre, solution.u, clock)
+        if control.mapping.max_iterations and not out_of_time():
+            mapping, extractions = self._map(coarse, coarse_centre, solution.u, clock, out_of_time)
         else:
-            mapping = MappingResult(solution.u, wanted, Status.CONVERGED, (), ())
+            left_out = Status.OUT_OF_TIME if control.mapping.max_iterations else Status.CONVERGED
+            mapping = MappingResult(solution.u, wanted, left_out, (), ())
             extractions = 0
         plan = Plan(t, horizon.control_period, mapping.u)
         self._last = plan
@@ -160,7 +169,7 @@ class RecedingHorizon:
         )
         return Window(plan, report, horizon.dt, mapping.output, coarse.rollout(plan.u).d)
 
-    def _solve_coarse(self, coarse: CoarseModel, t: float) -> Solution:
+    def _solve_coarse(self, coarse: CoarseModel, t: float, out_of_time: OutOfTime) -> Solution:
         """Minimise the cost of the window without noise, from the last plan on.
 
         Most of the way is done on the control's own time grid, where a step is cheaper.
@@ -180,7 +189,7 @@ class RecedingHorizon:
             objective = Objective(
                 weights.centre, weights.spread, weights.control, route, no_control, weights.dogs
             )
-            solutions.append(self._optimise(model, objective, u, limit))
+            solutions.append(self._optimise(model, objective, u, limit, out_of_time))
             u = solutions[-1].u
             limit = -(-limit // 3)
         return replace(
@@ -190,7 +199,12 @@ class RecedingHorizon:
         )
 
     def _optimise(
-        self, coarse: CoarseModel, objective: Objective, start: Array, max_iterations: int
+        self,
+        coarse: CoarseModel,
+        objective: Objective,
+        start: Array,
+        max_iterations: int,
+        out_of_time: OutOfTime,
     ) -> Solution:
         optimiser = self.control.optimiser
         return OPTIMISERS[optimiser.method](
@@ -200,6 +214,7 @@ class RecedingHorizon:
             coarse.inner,
             optimiser.tolerance,
             max_iterations,
+            out_of_time,
         )
 
     def _admissible(self, u: Array) -> Array:
@@ -211,6 +226,7 @@ class RecedingHorizon:
         coarse_centre: Callable[[Array], Array],
         u_coarse: Array,
         clock: _Stopwatch,
+        out_of_time: OutOfTime,
     ) -> tuple[MappingResult, int]:
         """Correct the coarse optimum for the noise; also return the coarse solves' rollouts."""
         horizon, mapping = self.control.horizon, self.control.mapping
@@ -252,6 +268,7 @@ class RecedingHorizon:
                     coarse.inner,
                     _EXTRACTION_TOLERANCE,
                     _EXTRACTION_ITERATIONS,
+                    out_of_time,
                 )
                 calls += found.calls
                 return found.u
@@ -261,7 +278,7 @@ class RecedingHorizon:
             with clock.phase('extraction'):
                 objective = Objective(1.0, 1.0, gamma, target, u_coarse)
                 limit = self.control.optimiser.max_iterations
-                found = self._optimise(coarse, objective, start, limit)
+                found = self._optimise(coarse, objective, start, limit, out_of_time)
                 calls += found.calls
                 return found.u
 
@@ -281,6 +298,7 @@ class RecedingHorizon:
                 gamma,
                 mapping.accuracy * np.sqrt(horizon.length),
                 mapping.max_iterations,
+                out_of_time,
             )
         else:
             result = space_mapping.aggressive(
@@ -295,6 +313,7 @@ class RecedingHorizon:
                 mapping.tolerance,
                 mapping.min_decrease,
                 mapping.max_iterations,
+                out_of_time=out_of_time,
             )
         return result, calls
 

@@ -12,6 +12,8 @@ from herding_ros.model.state import Array
 ValueAndGradient = Callable[[Array], tuple[float, Array]]
 Projection = Callable[[Array], Array]
 InnerProduct = Callable[[Array, Array], float]
+OutOfTime = Callable[[], bool]
+"""Asked between evaluations; once it says True, the best so far is returned."""
 
 
 class Status(Enum):
@@ -21,6 +23,7 @@ class Status(Enum):
     ITERATION_LIMIT = 'iteration limit'
     NO_DESCENT = 'no descent'
     STAGNATED = 'stagnated'
+    OUT_OF_TIME = 'out of time'
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,11 @@ class Solution:
     iterations: int
     calls: int
     """Evaluations of value and gradient."""
+
+
+def never() -> bool:
+    """Return False: time without end."""
+    return False
 
 
 def criticality(project: Projection, u: Array, gradient: Array, inner: InnerProduct) -> float:

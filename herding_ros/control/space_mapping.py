@@ -14,7 +14,7 @@ import numpy as np
 
 from herding_ros.model.state import Array
 
-from .solution import InnerProduct, Projection, Status
+from .solution import InnerProduct, never, OutOfTime, Projection, Status
 
 _DAMPING_FACTOR = 10.0
 _SINGULAR = 1e-10
@@ -91,6 +91,7 @@ def aggressive(
     min_decrease: float,
     max_iterations: int,
     quasi_newton: bool = True,
+    out_of_time: OutOfTime = never,
 ) -> MappingResult:
     """Find u_f with T(u_f) = u_c, where T(u) = extract(fine(u)).
 
@@ -123,6 +124,9 @@ def aggressive(
             break
         if len(residuals) > max_iterations:
             break
+        if out_of_time():
+            status = Status.OUT_OF_TIME
+            break
         u_next = project(u - broyden.solve(residual))
         step, u = u_next - u, u_next
         output = fine(u)
@@ -146,6 +150,7 @@ def output(
     damping: float,
     accuracy: float,
     max_iterations: int,
+    out_of_time: OutOfTime = never,
 ) -> MappingResult:
     """Find u_f whose fine output is that of u_coarse in the coarse model, by defect correction.
 
@@ -164,6 +169,9 @@ def output(
     best_misfit = misfits[0]
     status = Status.ITERATION_LIMIT
     while best_misfit > accuracy and len(misfits) <= max_iterations:
+        if out_of_time():
+            status = Status.OUT_OF_TIME
+            break
         defect = best_output - coarse(best)
         u = match(wanted - defect, best, damping)
         u_output = fine(u)

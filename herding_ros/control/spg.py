@@ -6,7 +6,16 @@ from collections import deque
 
 from herding_ros.model.state import Array
 
-from .solution import criticality, InnerProduct, Projection, Solution, Status, ValueAndGradient
+from .solution import (
+    criticality,
+    InnerProduct,
+    never,
+    OutOfTime,
+    Projection,
+    Solution,
+    Status,
+    ValueAndGradient,
+)
 
 _SUFFICIENT_DECREASE = 1e-4
 _MEMORY = 8
@@ -21,6 +30,7 @@ def spg(
     inner: InnerProduct,
     tolerance: float,
     max_iterations: int,
+    out_of_time: OutOfTime = never,
 ) -> Solution:
     """Minimise over a convex set, given the projection onto it.
 
@@ -45,6 +55,9 @@ def spg(
             status = Status.CONVERGED
             break
         if iterations == max_iterations:
+            break
+        if out_of_time():
+            status = Status.OUT_OF_TIME
             break
         direction = project(u - length * gradient) - u
         slope = inner(gradient, direction)

@@ -125,6 +125,20 @@ def test_iteration_limit_is_a_status_and_the_result_is_admissible(optimise: Opti
 
 
 @optimisers
+@pytest.mark.parametrize('iterations', [0, 1, 3])
+def test_out_of_time_is_an_early_iteration_limit(optimise: Optimiser, iterations: int) -> None:
+    problem = Quadratic(0)
+    args = problem, problem.project, problem.start, problem.inner, 0.0
+    asked = iter(range(1000))
+    hurried = optimise(*args, 1000, lambda: next(asked) >= iterations)
+    limited = optimise(*args, iterations)
+    assert hurried.status is Status.OUT_OF_TIME
+    assert limited.status is Status.ITERATION_LIMIT
+    assert np.array_equal(hurried.u, limited.u)
+    assert hurried.calls == limited.calls
+
+
+@optimisers
 def test_start_at_the_minimum_stays_there(optimise: Optimiser) -> None:
     problem = Quadratic(3)
     found = solved(optimise, problem, problem.best, tolerance=1e-8)

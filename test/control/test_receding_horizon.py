@@ -207,6 +207,50 @@ def test_solve_goes_on_from_the_last_plan() -> None:
     assert again.optimiser_calls < first.optimiser_calls
 
 
+def test_out_of_time_plays_the_last_plan_on() -> None:
+    planner = RecedingHorizon(Crowd(noise=0.03), SMALL, GOAL)
+    first = planner.solve(herd(9, 3), 0.0).plan
+    hurried = planner.solve(herd(9, 3), 3.0, lambda: True)
+    assert hurried.report.status is Status.OUT_OF_TIME
+    assert hurried.report.mapping_status is Status.OUT_OF_TIME
+    assert hurried.report.fine_calls == 0
+    assert np.array_equal(hurried.plan.u, first.shifted(3.0).u)
+    assert hurried.plan.t0 == 3.0
+
+
+def test_each_moment_of_running_out_of_time_leaves_a_plan() -> None:
+    """Whenever it is hurried, a solve ends after at most one more evaluation of a model."""
+    state = herd(9, 2)
+    whole = solved(0.03, SMALL, state).report
+    objectives, fine_calls = [], []
+    for moment in range(200):
+        asked = iter(range(1000))
+        planner = RecedingHorizon(Crowd(noise=0.03), SMALL, GOAL)
+        window = planner.solve(state, 0.0, lambda asked=asked, k=moment: next(asked) >= k)  # type: ignore[misc]
+        assert np.linalg.norm(window.plan.u, axis=2).max() <= SMALL.max_speed * (1 + 1e-12)
+        assert window.plan.u.shape == (100, 2, 2)
+        objectives.append(window.report.objective)
+        fine_calls.append(window.report.fine_calls)
+        if Status.OUT_OF_TIME not in (window.report.status, window.report.mapping_status):
+            break
+    else:
+        pytest.fail('never done')
+    assert objectives[-1] == whole.objective
+    assert objectives[0] > objectives[-1]
+    assert fine_calls == sorted(fine_calls)
+
+
+def test_adjusted_planner_is_a_new_one() -> None:
+    state = herd(9, 3)
+    planner = RecedingHorizon(Crowd(noise=0.01), SMALL, GOAL, 3)
+    planner.solve(state, 0.0)
+    control = dataclasses.replace(SMALL, max_speed=0.03, horizon=Horizon(length=6.0, accepted=3.0))
+    planner.adjust(Crowd(noise=0.02), control)
+    planner.restart()
+    found = planner.solve(state, 0.0).plan.u
+    assert np.array_equal(found, solved(0.02, control, state, 3).plan.u)
+
+
 @pytest.mark.parametrize('sheep_before', [10, 9, 17])
 def test_after_a_restart_nothing_is_left_of_the_last_herd(sheep_before: int) -> None:
     planner = RecedingHorizon(Crowd(noise=0.03), SMALL, GOAL, 1)
