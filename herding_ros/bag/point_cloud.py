@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,28 +16,35 @@ def points(cloud: Any) -> NDArray[np.void]:
     """Return the points (n,) of a cloud, a structured array with the cloud's own fields.
 
     The message may come from rclpy or from a bag. Raises ValueError when it contradicts
-    itself: unknown types of fields, fields outside a point, fewer bytes than points.
+    itself: unknown types of fields, fields outside a point, more or fewer bytes than its rows.
     """
-    order = '>' if cloud.is_bigendian else '<'
-    fields = [field for field in cloud.fields if field.count == 1]
-    unknown = [field.name for field in fields if field.datatype not in _FORMATS]
+    fields = tuple((f.name, f.offset, f.datatype) for f in cloud.fields if f.count == 1)
+    unknown = [name for name, _, datatype in fields if datatype not in _FORMATS]
     if unknown:
         raise ValueError(f'fields {unknown} of the point cloud have no known type')
-    rows = np.frombuffer(bytes(cloud.data), np.uint8)
-    if cloud.width * cloud.point_step > cloud.row_step or len(rows) < (
-        cloud.height * cloud.row_step
-    ):
+    rows = np.frombuffer(cloud.data, np.uint8)
+    used, size = cloud.width * cloud.point_step, cloud.height * cloud.row_step
+    if used > cloud.row_step or len(rows) != size:
         raise ValueError(
-            f'the point cloud has {len(rows)} bytes, too few for {cloud.height} rows of '
-            f'{cloud.row_step} bytes with {cloud.width} points of {cloud.point_step} bytes'
+            f'the point cloud has {len(rows)} bytes, too {"many" if len(rows) > size else "few"} '
+            f'for {cloud.height} rows of {cloud.row_step} bytes with {cloud.width} points of '
+            f'{cloud.point_step} bytes'
         )
-    dtype = np.dtype(
-        {
-            'names': [field.name for field in fields],
-            'formats': [order + _FORMATS[field.datatype] for field in fields],
-            'offsets': [field.offset for field in fields],
-            'itemsize': cloud.point_step,
-        }
-    )
-    rows = rows[: cloud.height * cloud.row_step].reshape(cloud.height, cloud.row_step)
-    return np.ascontiguousarray(rows[:, : cloud.width * cloud.point_step]).view(dtype).ravel()
+    dtype = _dtype(fields, cloud.point_step, '>' if cloud.is_bigendian else '<')
+    rows = rows.reshape(cloud.height, cloud.row_step)[:, :used]
+    return np.ascontiguousarray(rows).view(dtype).ravel()
+
+
+@lru_cache(maxsize=16)
+def _dtype(fields: tuple[tuple[str, int, int], ...], size: int, order: str) -> np.dtype[np.void]:
+    formats = [order + _FORMATS[datatype] for _, _, datatype in fields]
+    offsets = [offset for _, offset, _ in fields]
+    # NumPy's own check overflows, and then it reads memory that is not the cloud's.
+    for (name, offset, _), form in zip(fields, formats, strict=True):
+        if offset + np.dtype(form).itemsize > size:
+            raise ValueError(
+                f'field {name!r} of the point cloud, at {offset} bytes, is outside a point, '
+                f'which has {size}'
+            )
+    names = [name for name, _, _ in fields]
+    return np.dtype({'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': size})

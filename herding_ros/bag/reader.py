@@ -20,7 +20,8 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
 from rosbags.typesys import get_typestore, Stores
 
-from .metadata import read_metadata
+from .inspection import inspect
+from .metadata import advice, read_metadata
 from .point_cloud import points
 from .run import Array, Replan, Run, Topic
 
@@ -40,11 +41,40 @@ def read_run(path: str | os.PathLike[str]) -> Run:
     """
     folder = Path(path)
     metadata = read_metadata(folder)
+    _check_files(folder, metadata)
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             return _read(reader, folder, metadata)
     except (AnyReaderError, McapError, ReaderError) as error:
         raise ValueError(f'the bag {folder} is damaged or cut off: {error}') from error
+
+
+def _check_files(folder: Path, metadata: dict[str, Any]) -> None:
+    """Raise ValueError unless all data files are whole.
+
+    AnyReader takes the room that a file asks for, and does not tell all damages.
+    """
+    mode = str(metadata.get('compression_mode') or 'none').lower()
+    if mode != 'none':
+        raise ValueError(
+            f'the bag {folder} is compressed by rosbag2, mode {mode}: write it anew without by '
+            '`ros2 bag convert`; compression by mcap is allowed'
+        )
+    if metadata.get('storage_identifier') != 'mcap':
+        return
+    for file in _files(folder, metadata):
+        if not file.is_file():
+            raise ValueError(f'the bag {folder} is damaged: {file.name} is missing')
+        faults = inspect(file).faults
+        if faults:
+            raise ValueError(
+                f'the bag {folder} is damaged: {file.name}, {faults[0]}; {advice(folder)}'
+            )
+
+
+def _files(folder: Path, metadata: dict[str, Any]) -> list[Path]:
+    # Only the name of each: a bag is read from its own folder and nowhere else.
+    return [folder / PurePath(path).name for path in metadata['relative_file_paths']]
 
 
 def _read(reader: AnyReader, folder: Path, metadata: dict[str, Any]) -> Run:
@@ -197,10 +227,8 @@ def _wall_seconds(reader: AnyReader, topic: str, folder: Path, metadata: dict[st
     Bags in mcap keep when a message was published; the log time may be a simulation's.
     """
     if metadata['storage_identifier'] == 'mcap':
-        # Only the name of each: a bag is read from its own folder and nowhere else.
-        files = [folder / PurePath(path).name for path in metadata['relative_file_paths']]
         published = []
-        for file in files:
+        for file in _files(folder, metadata):
             with file.open('rb') as stream:
                 messages = make_reader(stream).iter_messages([topic], log_time_order=False)
                 published += [message.publish_time for _, _, message in messages]

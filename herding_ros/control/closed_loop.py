@@ -11,6 +11,7 @@ from herding_ros.model.parameters import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, finite, HerdState
 
+from .estimator import Estimator
 from .parameters import Control
 from .receding_horizon import RecedingHorizon, SolveReport
 
@@ -40,19 +41,29 @@ class Run:
 
 
 class Planner:
-    """Receding-horizon control as a policy; keeps its reports."""
+    """Receding-horizon control as a policy; keeps its reports and what it believes."""
 
     def __init__(self, crowd: Crowd, control: Control, goal: Array, seed: int) -> None:
         """Plan for this crowd and goal (2,) [m]."""
+        horizon = control.horizon
         self._planner = RecedingHorizon(crowd, control, goal, seed)
+        self._estimator = Estimator(
+            crowd, control.sensor, horizon.control_period, horizon.substeps
+        )
+        self._told: Array | None = None  # the velocities that were returned last
         self.reports: list[SolveReport] = []
+        self.believed: HerdState | None = None
+        """Where everyone is, by all observations so far."""
 
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the velocities at t, after a new plan if one is due."""
+        told = np.zeros_like(observed.d) if self._told is None else self._told
+        self.believed = self._estimator.update(t, np.arange(len(observed.x)), observed, told)
         if self._planner.due(t):
-            self.reports.append(self._planner.solve(observed, t).report)
+            self.reports.append(self._planner.solve(self.believed, t).report)
         assert self._planner.plan is not None
-        return self._planner.plan.at(t)
+        self._told = self._planner.plan.at(t)
+        return self._told
 
 
 def play(simulation: Simulation, policy: Policy, time_limit: float, stop: bool = True) -> Run:

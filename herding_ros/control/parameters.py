@@ -129,6 +129,24 @@ class Mapping(Parameters):
 
 
 @dataclass(frozen=True)
+class Sensor(Parameters):
+    """The noise that the controller filters out of what it observes; none: it believes its eyes."""
+
+    position_noise: float = quantity(
+        0.0,
+        'standard deviation of observed positions that is filtered out; 0: they are exact',
+        'm',
+        low=0.0,
+    )
+    velocity_noise: float = quantity(
+        0.0,
+        'standard deviation of observed velocities that is filtered out; 0: they are exact',
+        'm/s',
+        low=0.0,
+    )
+
+
+@dataclass(frozen=True)
 class Control(Parameters):
     """Everything the controller is told besides the crowd."""
 
@@ -138,6 +156,7 @@ class Control(Parameters):
     horizon: Horizon = Horizon()
     optimiser: Optimiser = Optimiser()
     mapping: Mapping = Mapping()
+    sensor: Sensor = Sensor()
 
 
 PAPER = Control(

@@ -2,38 +2,41 @@
 
 In lockstep every complete observation is answered, and the solve that is due is done first.
 Otherwise the node keeps its own time: commands go out at every control period, and the next
-window is planned in the background, from the state predicted for its beginning.
+window is planned in the background, from the state predicted for its beginning. A plan that is
+late leaves the second half of the old one to be played; after that the dogs stand.
 """
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+import math
 import sys
+import threading
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import Path
 import numpy as np
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import PointCloud2
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from herding_ros.control.estimator import Estimator
 from herding_ros.control.parameters import Control
-from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
+from herding_ros.control.solution import OutOfTime
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import quantity, TINY
+from herding_ros.model.parameters import Crowd, quantity, TINY
 from herding_ros.model.state import Array, HerdState
 from herding_ros.model.warmup import warm_up
 
 from . import messages
-from .inbox import Inbox
-from .parameters import declare, declare_crowd, NodeSettings
+from .background import Work
+from .observations import Observations, Observed
+from .parameters import declare, declare_crowd, HerdingNode, NodeSettings
 from .refusals import Refusals
+from .rivals import sole_publisher
 from .running import (
     ADJUSTABLE,
     CountingPublisher,
@@ -44,8 +47,14 @@ from .running import (
     UNWATCHED,
 )
 
+LIVE = ('weights.', 'crowd.noise', 'horizon.length', 'horizon.accepted', 'max_speed')
+"""Parameters that may change while the controller runs; they count from the next plan on."""
+
 _PATH_SPACING = 0.5
 """Time between two poses of a path [s]."""
+
+_STATE_PERIOD = 1.0
+"""Wall time between two messages on /diagnostics about the node itself [s]."""
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -55,269 +64,382 @@ class ControllerSettings(NodeSettings):
     """How the controller behaves as a ROS node."""
 
     dogs: int = quantity(5, 'number of dogs', low=1)
+    most_sheep: int = quantity(1000, 'a message with more sheep than this is refused', low=1)
     seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
     lead: float = quantity(
         2.0, 'time before its window at which a plan is begun, not in lockstep', 's', low=0.0
     )
     state_timeout: float = quantity(
-        1.0, 'dogs stop when the last observation is older, not in lockstep', 's', low=TINY
+        1.0,
+        'not in lockstep, observations older than this do not count: without sheep the dogs '
+        'stop, without its odometry a dog is left out of the plans',
+        's',
+        low=TINY,
     )
 
 
 @dataclass(frozen=True)
-class Observed:
-    """The newest complete observation: state and headings (M,) [rad] of the dogs at ns."""
+class Playing:
+    """A window and the dogs that it was planned for, by their indices from 0."""
 
-    ns: int
-    state: HerdState
-    headings: Array
+    window: Window
+    dogs: tuple[int, ...]
+
+    def velocities(self, t: float, dogs: int) -> Array:
+        """Velocities (dogs, 2) [m/s] of all dogs at t [s]; those without a plan stand."""
+        u = np.zeros((dogs, 2))
+        u[list(self.dogs)] = self.window.plan.at(t)
+        return u
 
 
-class Controller(Node):
+class Controller(HerdingNode):
     """Space-mapping receding-horizon control behind the topics of real trackers and robots."""
 
     def __init__(self) -> None:
         """Declare parameters, make the kernels ready, then listen."""
         super().__init__('controller')
         self._settings = declare(self, ControllerSettings())
-        self._crowd = declare_crowd(self)
-        self._control = declare(self, Control())
+        self._crowd = declare_crowd(self, live=LIVE)
+        self._control = declare(self, Control(), live=LIVE)
+        self._goal = np.array(self._settings.goal)
         self._planner = RecedingHorizon(
-            self._crowd, self._control, np.array(self._settings.goal), self._settings.seed
+            self._crowd, self._control, self._goal, self._settings.seed
+        )
+        horizon = self._control.horizon
+        self._estimator = Estimator(
+            self._crowd, self._control.sensor, horizon.control_period, horizon.substeps
         )
         self._refused = Refusals(self.get_logger())
-        self._dogs = range(1, self._settings.dogs + 1)
-        self._flock: tuple[int, Array, Array] | None = None
-        self._dog: dict[int, tuple[int, Array, float]] = {}
-        self._goal_moved = False
-        self._plans = 0
-        # Not in lockstep: the plan that is played, the one that waits, the one being made.
-        self._playing: Plan | None = None
-        self._next: Plan | None = None
-        self._coming: Future[tuple[Window, float]] | None = None
-        self._worker = ThreadPoolExecutor(1, 'planner')
-        self._time = 0.0
-        self._missed = 0
+        self._stopping = threading.Event()
+        self._coming: Work[Playing] | None = None  # the plan that is being made
+        self._late: Work[Playing] | None = None  # the last one that was not there in time
+        self._next: Playing | None = None  # the one that waits for its window
+        self._start_anew()
+        self._plans = self._missed = self._failed = 0
+        self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
 
         create = partial(
             self.create_publisher, publisher_class=CountingPublisher, event_callbacks=UNWATCHED
         )
         publish = partial(create, qos_profile=EVERY_MESSAGE)
+        self._plan = sole_publisher(
+            self, 'plan', lambda: create(MultiDOFJointTrajectory, 'plan', _LATCHED)
+        )
         kind = TwistStamped if self._settings.stamped else Twist
+        self._names = [f'dog_{m + 1}' for m in range(self._settings.dogs)]
         self._commands = [
-            publish(kind, f'dog_{m}/cmd_vel', qos_overriding_options=ADJUSTABLE)
-            for m in self._dogs
+            publish(kind, f'{name}/cmd_vel', qos_overriding_options=ADJUSTABLE)
+            for name in self._names
         ]
-        self._plan = create(MultiDOFJointTrajectory, 'plan', _LATCHED)
         self._herd_path = publish(Path, 'herd/path')
-        self._dog_paths = [publish(Path, f'dog_{m}/path') for m in self._dogs]
+        self._dog_paths = [publish(Path, f'{name}/path') for name in self._names]
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
-        self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
-        wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._waiting = self.create_timer(0.02, self._listen_when_heard, clock=wall)
+        self.follow([('crowd.', self._crowd), ('', self._control)], self._take_parameters)
+        self._wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._waiting = self.create_timer(0.02, self._listen_when_heard, clock=self._wall)
+
+    def _start_anew(self) -> None:
+        """Forget the past, as at the start or when time was set back."""
+        self._time = -math.inf
+        self._playing: Playing | None = None
+        self._watching_since = math.inf
+        self._in_sight: tuple[int, ...] = ()
+        self._estimate: Observed | None = None
+        self._estimator.reset()
+        self._told = np.zeros((self._settings.dogs, 2))  # what the dogs were told last
+        self._anew = True
+        self._plan_at_once()
+
+    def _plan_at_once(self) -> None:
+        """Let nobody wait for a plan whose reasons no longer hold."""
+        self._urgent = True
+        self._next = None
+        if self._coming is not None:
+            self._coming.drop()
+
+    def _take_parameters(self, crowd: Crowd, control: Control) -> None:
+        self._crowd, self._control = crowd, control
+
+    def stop(self) -> None:
+        """Let a solve that is under way end early, since the node ends."""
+        self._stopping.set()
 
     def _listen_when_heard(self) -> None:
         """Listen to observations only once nobody misses what they are answered with."""
-        if self._settings.lockstep and not all(
+        settings = self._settings
+        if settings.lockstep and not all(
             any(
                 is_heard(self, [commands], listener.node_name)
                 for listener in self.get_subscriptions_info_by_topic(commands.topic_name)
-                if listener.node_name != self._settings.wait_for
+                if listener.node_name != settings.wait_for
             )
             for commands in self._commands
         ):
             return
         everything = [*self._commands, self._plan, self._herd_path, *self._dog_paths]
         everything.append(self._diagnostics)
-        if self._settings.wait_for and not is_heard(self, everything, self._settings.wait_for):
+        if settings.wait_for and not is_heard(self, everything, settings.wait_for):
             return
         self.destroy_timer(self._waiting)
-        self._sheep = Inbox(self, PointCloud2, 'sheep', 10, qos_overriding_options=ADJUSTABLE)
-        self._odometry = [
-            Inbox(self, Odometry, f'dog_{m}/odom', 10, qos_overriding_options=ADJUSTABLE)
-            for m in self._dogs
-        ]
-        self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1)
-        if self._settings.lockstep:
-            wall = Clock(clock_type=ClockType.STEADY_TIME)
-            self.create_timer(0.0, self._keep_in_step, clock=wall)
+        self._observations = Observations(
+            self, settings.dogs, settings.frame, settings.most_sheep, settings.state_timeout,
+            self._refused,
+        )  # fmt: skip
+        self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1, raw=True)
+        self.create_timer(_STATE_PERIOD, self._publish_state, clock=self._wall)
+        if settings.lockstep:
+            self.create_timer(0.0, self._keep_in_step, clock=self._wall)
         else:
             self.create_timer(self._control.horizon.control_period, self._keep_time)
-        self.get_logger().info(f'ready to herd with {self._settings.dogs} dogs')
+        self.get_logger().info(f'ready to herd with {settings.dogs} dogs')
 
-    def _take_observations(self) -> None:
-        frame = self._settings.frame
-        for data, _ in self._sheep.take():
-            try:
-                self._flock = messages.sheep_in(data, frame)
-            except ValueError as error:
-                self._refused.add('sheep', error)
-        for m, inbox in zip(self._dogs, self._odometry, strict=True):
-            for data, _ in inbox.take():
-                try:
-                    self._dog[m] = messages.dog_in(data, frame)
-                except ValueError as error:
-                    self._refused.add(f'dog_{m}/odom', error)
-
-    def _on_goal(self, message: PoseStamped) -> None:
+    def _on_goal(self, data: bytes) -> None:
         try:
-            goal = messages.goal_in(message, self._settings.frame)
+            self._goal = messages.goal_in(data, self._settings.frame)
         except ValueError as error:
             self._refused.add('goal_pose', error)
             return
-        self._planner.move_goal(goal)
-        self._goal_moved = True
-        self.get_logger().info(f'the destination is now ({goal[0]:g}, {goal[1]:g})')
+        self._plan_at_once()
+        self.get_logger().info(f'the destination is now ({self._goal[0]:g}, {self._goal[1]:g})')
 
-    def _observed(self) -> Observed | None:
-        """Return the newest observation, as old as its oldest part; None while incomplete."""
-        self._take_observations()
-        if self._flock is None or len(self._dog) < len(self._dogs):
-            return None
-        ns, x, v = self._flock
-        dogs = [self._dog[m] for m in self._dogs]
-        state = HerdState(x, v, np.array([position for _, position, _ in dogs]))
-        headings = np.array([heading for _, _, heading in dogs])
-        return Observed(min(ns, *(ns for ns, _, _ in dogs)), state, headings)
+    def _prepare_planner(self) -> None:
+        """Tell the planner, while it is idle, what has changed since its last plan."""
+        planner = self._planner
+        if (self._crowd, self._control) != (planner.crowd, planner.control):
+            planner.adjust(self._crowd, self._control)
+        self._estimator.crowd = self._crowd
+        planner.move_goal(self._goal)
+        if self._anew:
+            planner.restart()
+        self._anew = self._urgent = False
 
     # Lockstep: solve when due, then answer.
 
     def _keep_in_step(self) -> None:
         """Answer when sheep come, which come last; the executor sees to all else in between."""
-        for _ in self._sheep.arrivals(LOCKSTEP_TURN):
+        for _ in self._observations.arrivals(LOCKSTEP_TURN):
             self._answer_when_complete()
 
     def _answer_when_complete(self) -> None:
-        observed = self._observed()
-        if observed is None or self._flock is None:
+        self._observations.take()
+        observed = self._observations.answerable()
+        if observed is None:
             return
-        ns = self._flock[0]
-        if any(dog[0] != ns for dog in self._dog.values()):
-            return
-        self._flock = None  # each observation is answered once
-        self._dog.clear()
-        t = ns * 1e-9
-        if self._planner.plan is not None and self._planner.plan.index(t) < 0:
-            self._planner.restart()  # time was set back: start anew
-        if self._planner.due(t) or self._goal_moved:
-            self._goal_moved = False
-            window = self._planner.solve(observed.state, t)
-            self._command(window.plan.at(t), observed.headings, ns)
-            self._announce(window, ns, 0.0)  # while the sim moves on
-        else:
-            assert self._planner.plan is not None
-            self._command(self._planner.plan.at(t), observed.headings, ns)
+        t = observed.ns * 1e-9
+        if t < self._time:
+            self._start_anew()
+        self._time, self._in_sight = t, observed.dogs
+        state = self._estimated(observed).state
+        solved = self._playing is None or self._urgent or self._planner.due(t)
+        if solved:
+            self._prepare_planner()
+            window = self._planner.solve(state, t, self._stopping.is_set)
+            self._playing = Playing(window, observed.dogs)
+        self._command(self._velocities(t), observed.ns)
+        if solved and self._playing is not None:
+            self._announce(self._playing, observed.ns, 0.0)  # while the sim moves on
 
     # Otherwise: play, and plan ahead in the background.
 
     def _keep_time(self) -> None:
         now = self.get_clock().now().nanoseconds
         t = now * 1e-9
-        observed = self._observed()
-        if observed is None:
-            return
         if t < self._time:
-            self._playing = self._next = self._coming = None  # time was set back: start anew
-            self._planner.restart()
+            self._observations.forget()
+            self._start_anew()
         self._time = t
-        fresh = t - observed.ns * 1e-9 <= self._settings.state_timeout
-        if fresh and self._is_time_to_plan(t):
-            self._begin_plan(observed, t)
-        if self._coming is not None and self._coming.done():
-            self._next = self._made_plan(*self._coming.result(), now)
-            self._coming = None
-        if self._next is not None and t >= self._next.t0 - 1e-9:
+        self._observations.take(now)
+        observed = self._observations.in_sight(now)
+        if observed is not None:
+            estimate = self._estimated(observed)
+            if self._is_everyone_there(estimate, t):
+                self._notice_dogs(estimate.dogs)
+                if self._is_time_to_plan(t):
+                    self._begin_plan(estimate, t)
+        self._take_plan(now)
+        if self._next is not None and t >= self._next.window.plan.t0 - 1e-9:
             self._playing, self._next = self._next, None
-        if self._playing is None:
+        if self._playing is not None:
+            lost = observed is None
+            self._command(np.zeros_like(self._told) if lost else self._velocities(t), now)
+
+    def _is_everyone_there(self, observed: Observed, t: float) -> bool:
+        """Whether all dogs are in sight, or have had the time to show themselves."""
+        self._watching_since = min(self._watching_since, t)
+        waited = t - self._watching_since
+        return len(observed.dogs) == len(self._names) or waited > self._settings.state_timeout
+
+    def _notice_dogs(self, dogs: tuple[int, ...]) -> None:
+        """Plan at once when a dog has fallen silent or is back."""
+        if dogs == self._in_sight:
             return
-        u = self._playing.at(t) if fresh else np.zeros((len(self._dogs), 2))
-        self._command(u, observed.headings, now)
+        returned = len(dogs) > len(self._in_sight) > 0
+        self._in_sight = dogs
+        self._plan_at_once()
+        if silent := ', '.join(self._silent()):
+            self.get_logger().warning(f'nothing is heard from {silent}: planning without')
+        elif returned:
+            self.get_logger().info('all dogs are heard again')
+
+    def _silent(self) -> list[str]:
+        return [name for m, name in enumerate(self._names) if m not in self._in_sight]
 
     def _is_time_to_plan(self, t: float) -> bool:
         if self._coming is not None or self._next is not None:
             return False
-        if self._playing is None or self._goal_moved:
+        if self._playing is None or self._urgent:
             return True
-        return t >= self._playing.t0 + self._control.horizon.accepted - self._settings.lead
+        return t >= self._window_end(self._playing) - self._settings.lead
+
+    def _window_end(self, playing: Playing) -> float:
+        """Time at which the accepted part of a plan is over and the next one begins [s]."""
+        return playing.window.plan.t0 + self._planner.control.horizon.accepted
 
     def _begin_plan(self, observed: Observed, t: float) -> None:
         """Plan the next window in the background, from the state predicted for its start."""
-        start = t + self._settings.lead
-        if self._playing is not None and not self._goal_moved:
-            start = max(self._playing.t0 + self._control.horizon.accepted, t)
-        self._goal_moved = False
         period = self._control.horizon.control_period
-        steps = max(round((start - observed.ns * 1e-9) / period), 0)
-        state = self._predict(observed, steps)
-        self._coming = self._worker.submit(self._solve, state, start)
+        start = t + period * math.ceil(self._settings.lead / period)
+        if self._playing is not None and not self._urgent:
+            # The windows join, unless too little is left of the lead for a plan to be there.
+            end = self._window_end(self._playing)
+            start = end if t + 0.5 * self._settings.lead <= end else start
+        state = self._predict(observed, round((start - observed.ns * 1e-9) / period))
+        self._prepare_planner()
+        planner = self._planner
 
-    def _solve(self, state: HerdState, start: float) -> tuple[Window, float]:
-        """Return the window and how long before its start it was ready [s]; in the background."""
-        window = self._planner.solve(state, start)
-        return window, start - self.get_clock().now().nanoseconds * 1e-9
+        def plan(out_of_time: OutOfTime) -> Playing:
+            window = planner.solve(state, start, lambda: out_of_time() or self._stopping.is_set())
+            return Playing(window, observed.dogs)
+
+        self._coming = Work(plan, start, start - period, self._now)
+
+    def _now(self) -> float:
+        return float(self.get_clock().now().nanoseconds * 1e-9)
 
     def _predict(self, observed: Observed, periods: int) -> HerdState:
         """Return the state some control periods after an observation, without noise."""
-        if not periods:
+        if periods <= 0:
             return observed.state
         horizon = self._control.horizon
         times = observed.ns * 1e-9 + horizon.control_period * np.arange(periods)
-        standing = np.zeros((len(self._dogs), 2))
-        u = [standing if self._playing is None else self._playing.at(t) for t in times]
-        return rollout(self._crowd, observed.state, np.array(u), horizon.dt, horizon.substeps).at(
-            -1
-        )
+        u = np.array([self._velocities(t)[list(observed.dogs)] for t in times])
+        return rollout(self._crowd, observed.state, u, horizon.dt, horizon.substeps).at(-1)
 
-    def _made_plan(self, window: Window, margin: float, now: int) -> Plan:
-        """Announce a plan that has been made; count it when it is late."""
-        if margin < 0.0 and self._playing is not None:
+    def _take_plan(self, now: int) -> None:
+        """Take the plan that has been made; count it once when it is late."""
+        coming = self._coming
+        if coming is None:
+            return
+        if coming.margin < 0.0 and not coming.dropped and coming is not self._late:
+            self._late = coming
             self._missed += 1
             self.get_logger().warning(
-                f'a plan was late by {-margin:.2f} s, the old one was played on; '
-                f'raise lead ({self._settings.lead:g} s) or lower mapping.paths'
+                f'a plan is late, the old one is played on; raise lead '
+                f'({self._settings.lead:g} s) or lower mapping.paths'
             )
-        self._announce(window, now, margin)
-        return window.plan
+        if not coming.done:
+            return
+        self._coming = None
+        if coming.error is not None:
+            self._count_failure(coming.error)
+        elif coming.result is not None and not coming.dropped:
+            self._next = coming.result
+            self._announce(coming.result, now, coming.margin)
+
+    def _count_failure(self, error: Exception) -> None:
+        if not self._failed:
+            self.get_logger().error(
+                f'a plan could not be made: {error!r}; further ones are counted'
+            )
+        self._failed += 1
 
     # Both.
 
-    def _command(self, u: Array, headings: Array, ns: int) -> None:
+    def _estimated(self, observed: Observed) -> Observed:
+        """Return what is believed after an observation; each counts once."""
+        last = self._estimate
+        if last is None or (observed.sheep_ns, observed.dogs) != (last.sheep_ns, last.dogs):
+            t = observed.sheep_ns * 1e-9
+            state = self._estimator.update(
+                t, observed.ids, observed.state, self._told, observed.dogs
+            )
+            self._estimate = replace(observed, state=state)
+            return self._estimate
+        return last
+
+    def _velocities(self, t: float) -> Array:
+        """What the plan that is played tells all dogs (M, 2) [m/s] at t [s]."""
+        return (
+            np.zeros_like(self._told)
+            if self._playing is None
+            else self._playing.velocities(t, len(self._told))
+        )
+
+    def _command(self, u: Array, ns: int) -> None:
+        """Tell the dogs their velocities u (M, 2) [m/s]."""
+        self._told = u
+        headings = self._observations.headings
         for m, publisher in enumerate(self._commands):
             if self._settings.stamped:
                 publisher.publish(messages.command(u[m], headings[m], m + 1, ns))
             else:
                 publisher.publish(messages.twist(u[m], headings[m]))
 
-    def _announce(self, window: Window, ns: int, margin: float) -> None:
+    def _announce(self, playing: Playing, ns: int, margin: float) -> None:
         """Publish a new plan, what it is expected to do and how it was found."""
-        frame, report = self._settings.frame, window.report
+        frame, window = self._settings.frame, playing.window
         substeps = self._control.horizon.substeps
         start = round(window.plan.t0 * 1e9)
+        names = tuple(self._names[m] for m in playing.dogs)
         dogs = window.dogs[:-1:substeps]
-        self._plan.publish(messages.trajectory(window.plan, dogs, start, frame))
+        self._plan.publish(messages.trajectory(window.plan, dogs, names, start, frame))
         every = max(round(_PATH_SPACING / window.dt), 1)
         spacing = every * window.dt
         self._herd_path.publish(messages.path(window.centre[::every], spacing, start, frame))
-        for m, publisher in enumerate(self._dog_paths):
-            publisher.publish(messages.path(window.dogs[::every, m], spacing, start, frame))
+        for m, route in zip(playing.dogs, window.dogs[::every].swapaxes(0, 1), strict=True):
+            self._dog_paths[m].publish(messages.path(route, spacing, start, frame))
         values = {
             'replan': self._plans,
-            **messages.report_values(report),
+            **messages.report_values(window.report),
             'deadline_margin_s': margin,
             'deadlines_missed': self._missed,
-            **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
         }
         self._plans += 1
-        good = margin >= 0.0 and not self._refused.counts
-        level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
+        level = DiagnosticStatus.OK if margin >= 0.0 else DiagnosticStatus.WARN
+        status = window.report.status.value
         self._diagnostics.publish(
-            messages.diagnostics('controller: plan', ns, level, report.status.value, values)
+            messages.diagnostics('controller: plan', ns, level, status, values)
         )
 
-    def destroy_node(self) -> None:
-        """Let the planner finish what it is at, then destroy the node."""
-        self._worker.shutdown(cancel_futures=True)
-        super().destroy_node()
+    def _publish_state(self) -> None:
+        """Say what the node is doing, and what has gone wrong so far."""
+        now = self.get_clock().now().nanoseconds
+        doing, good = self._doing(now)
+        values = {
+            'dogs_silent': ' '.join(self._silent()),
+            'deadlines_missed': self._missed,
+            'plans_failed': self._failed,
+            **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
+        }
+        good = good and not (self._failed or self._refused.counts)
+        level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
+        self._diagnostics.publish(
+            messages.diagnostics('controller: state', now, level, doing, values)
+        )
+
+    def _doing(self, now: int) -> tuple[str, bool]:
+        """Say in words what is played, and whether that is as it should be."""
+        if self._settings.lockstep:
+            return 'answering in lockstep', True
+        if self._observations.in_sight(now) is None:
+            return 'standing: no sheep or no dogs in sight', False
+        if self._playing is None:
+            return 'standing: the first plan is not there yet', True
+        if now * 1e-9 >= self._playing.window.plan.end:
+            return 'standing: the plan is over and the next is not there yet', False
+        if now * 1e-9 >= self._window_end(self._playing):
+            return 'playing the second half: the next plan is late', False
+        return 'playing a plan', not self._silent()
 
 
 def main(args: list[str] | None = None) -> int:

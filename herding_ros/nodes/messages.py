@@ -1,8 +1,8 @@
 """Messages <-> arrays: the only place that knows what a message looks like.
 
-Everything is in SI units. Conversions from messages raise ValueError on anything that must
-not move a dog: wrong frames and fields, NaN, infinities. What comes at every control period is
-written and read as bytes (see `wire`).
+Everything is in SI units. Conversions from messages take their bytes, and raise Refused on
+anything that must not move a dog; what is not read (a height, a covariance) may be anything, but
+for commands. What goes out at every control period is made as bytes too (see `wire`).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import array
 from collections.abc import Mapping
 from functools import lru_cache
 import math
+from typing import NamedTuple
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -26,6 +27,7 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import Odometry, Path
 import numpy as np
+from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
@@ -34,9 +36,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 from herding_ros.bag.point_cloud import points
 from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import SolveReport
-from herding_ros.model.state import Array, finite
+from herding_ros.model.state import Array
 
-from .wire import decoded, read, Template
+from .refusals import Refused
+from .wire import Reader, seconds_and_rest, Template
 
 _COORDINATES = ('x', 'y', 'z', 'vx', 'vy', 'vz')
 _CLOUD = np.dtype([('id', '<u4'), *((name, '<f4') for name in _COORDINATES)])
@@ -54,6 +57,15 @@ _ODOMETRY = np.dtype(
 )
 _COMMAND = np.dtype(_TWIST)
 
+_LARGEST = 1e6
+"""No coordinate [m] or velocity [m/s] is larger: single precision would not see a sheep move."""
+
+_ROUNDING = 0.1
+"""By how much the squared length of a quaternion may differ from 1."""
+
+_MOST_FIELDS = 64
+"""Fields of a point cloud: each takes room and time, before the points are looked at."""
+
 
 def nanoseconds(stamp: Time) -> int:
     """Return a stamp in nanoseconds."""
@@ -61,15 +73,46 @@ def nanoseconds(stamp: Time) -> int:
 
 
 def stamp_of(ns: int) -> Time:
-    """Return nanoseconds as a stamp."""
-    return Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
+    """Return nanoseconds as a stamp, or the nearest one that there is."""
+    sec, nanosec = seconds_and_rest(ns)
+    return Time(sec=sec, nanosec=nanosec)
 
 
 def check_frame(what: str, given: str, *allowed: str) -> None:
-    """Raise ValueError unless a message is in one of the allowed frames."""
+    """Raise Refused unless a message is in one of the allowed frames."""
     if given not in allowed:
         names = ' or '.join(f"'{name}'" for name in allowed)
-        raise ValueError(f"{what} is in frame '{given}', allowed is {names}")
+        raise Refused('wrong frame', f'{what} is in frame {given!r}, allowed is {names}')
+
+
+def check_stamp(ns: int, now: int, oldest: float, ahead: float) -> None:
+    """Raise Refused when a stamp [ns] is more than `oldest` [s] before now or `ahead` after it."""
+    age = (now - ns) * 1e-9
+    if age > oldest:
+        raise Refused(
+            'stamp too old',
+            f'it is stamped {age:g} s ago, allowed are {oldest:g} s; '
+            'has everybody the same clock (use_sim_time)?',
+        )
+    if age < -ahead:
+        raise Refused(
+            'stamp in the future',
+            f'it is stamped {-age:g} s ahead, allowed are {ahead:g} s; '
+            'has everybody the same clock (use_sim_time)?',
+        )
+
+
+def _check_size(what: str, *values: float) -> None:
+    """Raise Refused unless values are such as something in a pasture may have."""
+    size = math.hypot(*values)
+    if not size <= _LARGEST:
+        _check_finite(what, *values)
+        raise Refused('too large', f'{what} are {size:g}, allowed are {_LARGEST:g} [m, m/s]')
+
+
+def _check_finite(what: str, *values: float) -> None:
+    if not all(map(math.isfinite, values)):
+        raise Refused('not finite', f'{what} hold NaN or infinite values; all must be finite')
 
 
 def dog_frame(m: int) -> str:
@@ -104,26 +147,87 @@ def _cloud(count: int, frame: str) -> Template:
     return Template(message, [('sheep', _CLOUD, count), ('is_dense', '?')])
 
 
-def sheep_in(data: bytes, frame: str) -> tuple[int, Array, Array]:
-    """Time [ns], positions (N, 2) [m] and velocities (N, 2) [m/s] of sheep in a PointCloud2.
+class Sheep(NamedTuple):
+    """The flock at ns: ids (N,), increasing, positions x (N, 2) [m], velocities v [m/s]."""
 
-    Fields x, y, vx, vy must be there as floats, in any order and with any others.
+    ns: int
+    ids: NDArray[np.uint32]
+    x: Array
+    v: Array
+
+
+def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
+    """Sheep in a PointCloud2, sorted by id; more than `most` are refused unseen.
+
+    Fields x, y, vx, vy must be there as floats, in any order and with any others. An integer
+    field id tells who is who; without it the order does.
     """
-    message = decoded(data, PointCloud2)
-    check_frame('sheep', message.header.frame_id, frame)
-    if not message.width * message.height:
-        raise ValueError('sheep are an empty cloud, allowed is at least one point')
-    sheep = points(message)
-    missing = [
-        name
-        for name in ('x', 'y', 'vx', 'vy')
-        if name not in (sheep.dtype.names or ()) or sheep.dtype[name].kind != 'f'
-    ]
-    if missing:
-        raise ValueError(f'sheep have no field {", ".join(missing)} of type FLOAT32 or FLOAT64')
-    values = np.stack([sheep[name] for name in ('x', 'y', 'vx', 'vy')], axis=1)
-    values = finite('sheep positions and velocities', values, (None, 4))
-    return nanoseconds(message.header.stamp), values[:, :2], values[:, 2:]
+    reader = Reader(data)
+    ns, given = reader.header()
+    check_frame('sheep', given, frame)
+    cloud = _point_cloud_in(reader, most)
+    try:
+        sheep = points(cloud)
+    except ValueError as error:
+        raise Refused('malformed', str(error)) from None
+    values = np.empty((len(sheep), 4))
+    with np.errstate(invalid='ignore'):  # converting some NaN warns on stderr
+        for i, name in enumerate(('x', 'y', 'vx', 'vy')):
+            values[:, i] = _column(sheep, name, 'f', 'FLOAT32 or FLOAT64')
+    _check_size('sheep positions and velocities', float(values.min()), float(values.max()))
+    if not any(field.name == 'id' for field in cloud.fields):
+        return Sheep(ns, np.arange(len(sheep), dtype=np.uint32), values[:, :2], values[:, 2:])
+    ids = _column(sheep, 'id', 'iu', 'integer').astype(np.uint32)
+    if not (ids[1:] > ids[:-1]).all():
+        order = np.argsort(ids)
+        ids, values = ids[order], values[order]
+        if (ids[1:] == ids[:-1]).any():
+            raise Refused('duplicate ids', 'two sheep have the same id; each needs its own')
+    return Sheep(ns, ids, values[:, :2], values[:, 2:])
+
+
+def _column(sheep: NDArray[np.void], name: str, kinds: str, allowed: str) -> NDArray[np.generic]:
+    if name not in (sheep.dtype.names or ()) or sheep.dtype[name].kind not in kinds:
+        raise Refused('wrong fields', f'sheep have no field {name} of type {allowed}')
+    column: NDArray[np.generic] = sheep[name]
+    return column
+
+
+class _Field(NamedTuple):
+    name: str
+    offset: int
+    datatype: int
+    count: int  # type: ignore[assignment]
+
+
+class _PointCloud(NamedTuple):
+    height: int
+    width: int
+    fields: tuple[_Field, ...]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: memoryview
+
+
+def _point_cloud_in(reader: Reader, most: int) -> _PointCloud:
+    """Read what comes after the header of a PointCloud2 with one to `most` points."""
+    height, width, field_count = reader.numbers('III')
+    if width * height > most:
+        raise Refused('too many sheep', f'there are {width * height} sheep, allowed are {most}')
+    if not width * height:
+        raise Refused('empty', 'sheep are an empty cloud, allowed is at least one point')
+    if field_count > _MOST_FIELDS:
+        raise Refused(
+            'wrong fields', f'sheep have {field_count} fields, allowed are {_MOST_FIELDS}'
+        )
+    fields = tuple(_Field(reader.text(), *reader.numbers('IBxxxI')) for _ in range(field_count))
+    is_bigendian, point_step, row_step = reader.numbers('?xxxII')
+    points_data = reader.sequence()
+    # One byte, is_dense, and what fills up the message to a multiple of four.
+    if not 1 <= reader.left <= 4:
+        raise Refused('malformed', f'{reader.left} bytes follow the points, allowed are 1 to 4')
+    return _PointCloud(height, width, fields, is_bigendian, point_step, row_step, points_data)
 
 
 def odometry(d: Array, u: Array, m: int, ns: int, frame: str) -> bytes:
@@ -142,12 +246,19 @@ def _odometry(m: int, frame: str) -> Template:
 
 def dog_in(data: bytes, frame: str) -> tuple[int, Array, float]:
     """Time [ns], position (2,) [m] and heading [rad] of a dog in an Odometry."""
-    ns, given, numbers = read(data, Odometry, _ODOMETRY)
+    reader = Reader(data)
+    ns, given = reader.header()
     check_frame('odometry', given, frame)
-    x, y, z, w = numbers['orientation'].tolist()
-    heading = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    values = finite('dog position and heading', [*numbers['position'][:2], heading], (3,))
-    return ns, values[:2], heading
+    reader.text()  # the child frame
+    d_x, d_y, _, x, y, z, w = reader.doubles(_ODOMETRY.itemsize // 8, 7)
+    _check_size('dog position and orientation', d_x, d_y, x, y, z, w)
+    if not abs(x * x + y * y + z * z + w * w - 1.0) <= _ROUNDING:
+        raise Refused(
+            'not a rotation', f'the orientation ({x:g}, {y:g}, {z:g}, {w:g}) has not the length 1'
+        )
+    # Does not depend on the length, so that nothing has to be normalised.
+    heading = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return ns, np.array([d_x, d_y]), heading
 
 
 def command(u: Array, heading: float, m: int, ns: int) -> bytes:
@@ -175,32 +286,48 @@ def _turned(u: Array, heading: float) -> tuple[float, float]:
     return c * x + s * y, c * y - s * x
 
 
-def command_in(data: bytes, m: int, frame: str) -> tuple[int, Array]:
-    """Time [ns] and velocity (2,) [m/s] of a TwistStamped for dog m."""
-    ns, given, numbers = read(data, TwistStamped, _COMMAND)
+def command_in(data: bytes, m: int, frame: str, max_speed: float) -> tuple[int, Array]:
+    """Time [ns] and velocity (2,) [m/s], of at most max_speed, of a TwistStamped for dog m."""
+    reader = Reader(data)
+    ns, given = reader.header()
     check_frame('command', given, dog_frame(m), frame)
-    return ns, finite('command', numbers['linear'][:2], (2,))
+    return ns, _velocity_in(reader, max_speed)
 
 
-def twist_in(data: bytes) -> Array:
-    """Velocity (2,) [m/s] of a Twist."""
-    linear = decoded(data, Twist).linear
-    return finite('command', [linear.x, linear.y], (2,))
+def twist_in(data: bytes, max_speed: float) -> Array:
+    """Velocity (2,) [m/s], of at most max_speed [m/s], of a Twist."""
+    return _velocity_in(Reader(data), max_speed)
 
 
-def goal_in(message: PoseStamped, frame: str) -> Array:
-    """Destination (2,) [m]."""
-    check_frame('goal', message.header.frame_id, frame)
-    position = message.pose.position
-    return finite('goal', [position.x, position.y], (2,))
+def _velocity_in(reader: Reader, max_speed: float) -> Array:
+    """Read the linear and angular velocity at the end of a message; x and y count.
+
+    Who sends NaN in any of them does not know what he wants.
+    """
+    values = reader.doubles(6, 6)
+    _check_finite('command', *values)
+    x, y = values[:2]
+    if math.hypot(x, y) > max_speed * (1 + 1e-6):  # rounded, and turned into the dog's frame
+        raise Refused('too fast', f'{math.hypot(x, y):g} m/s, allowed are {max_speed:g} m/s')
+    return np.array([x, y])
 
 
-def trajectory(plan: Plan, dogs: Array, ns: int, frame: str) -> bytes:
+def goal_in(data: bytes, frame: str) -> Array:
+    """Destination (2,) [m] in a PoseStamped."""
+    reader = Reader(data)
+    _, given = reader.header()
+    check_frame('goal', given, frame)
+    x, y = reader.doubles(7, 2)
+    _check_size('goal', x, y)
+    return np.array([x, y])
+
+
+def trajectory(plan: Plan, dogs: Array, names: tuple[str, ...], ns: int, frame: str) -> bytes:
     """Plan with the dogs' planned positions (intervals, M, 2) [m] at the intervals' starts.
 
     A MultiDOFJointTrajectory.
     """
-    template = _trajectory(*plan.u.shape[:2], frame)
+    template = _trajectory(len(plan.u), names, frame)
     points = template.numbers['points']
     points['transforms']['translation'][..., :2] = dogs
     points['velocities']['linear'][..., :2] = plan.u
@@ -210,13 +337,14 @@ def trajectory(plan: Plan, dogs: Array, ns: int, frame: str) -> bytes:
 
 
 @lru_cache(maxsize=16)
-def _trajectory(intervals: int, count: int, frame: str) -> Template:
+def _trajectory(intervals: int, names: tuple[str, ...], frame: str) -> Template:
+    count = len(names)
     point = MultiDOFJointTrajectoryPoint(
         transforms=[Transform(rotation=Quaternion(w=1.0))] * count, velocities=[Twist()] * count
     )
     message = MultiDOFJointTrajectory(
         header=Header(frame_id=frame),
-        joint_names=[f'dog_{m + 1}' for m in range(count)],
+        joint_names=list(names),
         points=[point] * intervals,
     )
     transform = [('translation', 'f8', 3), ('rotation', 'f8', 4)]

@@ -1,12 +1,15 @@
 """The recorder node: every topic of the graph, as it is on the wire, into a rosbag2 bag.
 
 A lockstep run brings 10,000 messages a second, too many for rclpy's executor. So that serves
-timers and parameters alone, and 50 times a second the recorder empties its subscriptions.
+timers, services and parameters alone, and 50 times a second the recorder empties its
+subscriptions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from importlib import import_module
 import json
 from operator import attrgetter
@@ -18,21 +21,27 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
 import rclpy
 from rclpy.clock import Clock, ClockType, ROSClock
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import Trigger
 
 from .. import __version__
 from ..bag.definitions import message_definition
+from ..bag.metadata import advice
+from ..bag.part import LAST_TIME_NS
 from ..bag.writer import BagWriter
 from .parameter_query import ParameterQuery
+from .refusals import Refusals
 from .running import CLOCK, start_ros
 from .tap import Received, Tap
 from .topic_qos import adapted_qos, asks_more, qos_map
+from .wire import Reader
 
 TAKE_PERIOD = 0.02
 """Time between two rounds over the subscriptions [s]."""
@@ -43,6 +52,12 @@ GRAPH_PERIOD = 0.1
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two messages on /diagnostics [s]."""
 
+FLUSH_PERIOD = 0.05
+"""Time after which messages are handed to the operating system [s].
+
+With `TAKE_PERIOD` before it and a round in which it falls due, a kill costs less than 0.1 s.
+"""
+
 LAST_MESSAGES = 0.05
 """Time in which messages published before the end arrive [s]."""
 
@@ -51,7 +66,11 @@ DEPTH = 10_000
 
 
 class Recorder(Node):
-    """Records topics into a bag from the moment they appear."""
+    """Records topics into a bag from the moment they appear.
+
+    When the disk refuses, it closes the bag and goes on as if paused, for good: who publishes
+    does not notice, and who looks at /diagnostics does.
+    """
 
     _bag: BagWriter
 
@@ -67,6 +86,14 @@ class Recorder(Node):
         topics = self._declare(
             'topics', [''], 'Full names of the topics to record; none, or an empty one: all.'
         )
+        self.max_size = self._declare(
+            'max_bag_size', 0, 'A file of the bag is followed by another at this size; 0: never.'
+        )
+        self.max_duration = self._declare(
+            'max_bag_duration',
+            0,
+            'A file of the bag is followed by another after this time; 0: never.',
+        )
         self._chosen = {topic for topic in topics if topic}
         self._taps: dict[str, Tap] = {}
         self._told: set[str] = set()  # topics that cannot be recorded, or not all of them
@@ -75,34 +102,86 @@ class Recorder(Node):
         self._waiting: list[Received] = []  # for the first /clock
         self._clock_ns: int | None = None  # the last /clock
         self._sim_time_ns = 0
+        self._wall_time_ns = 0
         self._bytes = 0
         self._lost = 0
+        self._refused = Refusals(self.get_logger())
+        self._paused = False
+        self._failure = ''  # why nothing is written any more
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        _survive_wrong_clocks(self)
+        self.create_service(Trigger, '~/pause', self._on_pause)
+        self.create_service(Trigger, '~/resume', self._on_resume)
 
     def _declare(self, name: str, default: Any, description: str) -> Any:
         descriptor = ParameterDescriptor(description=description, read_only=True)
+        if isinstance(default, int):
+            descriptor.integer_range = [IntegerRange(from_value=0, to_value=2**63 - 1)]
         return self.declare_parameter(name, default, descriptor).value
 
-    def record(self, bag: BagWriter, stop: threading.Event) -> None:
-        """Record into the bag until stop is set.
+    def record(self, bag: BagWriter, stop: threading.Event) -> bool:
+        """Record into the bag until stop is set, and close it.
 
-        Raises OSError when the bag can be written no more.
+        Returns whether all could be written.
         """
         self._bag = bag
-        bag.set_custom_data(self._custom_data())
+        self._keep_custom_data()
         wall = Clock(clock_type=ClockType.STEADY_TIME)  # goes on while the sim's clock stands
         self.create_timer(GRAPH_PERIOD, self._look_at_graph, clock=wall)
         self.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=wall)
         executor = SingleThreadedExecutor()
         executor.add_node(self)
         self._look_at_graph()
+        flushed = time.monotonic()
         while not stop.is_set():
             time.sleep(TAKE_PERIOD)
             executor.spin_once(timeout_sec=0.0)
             self._write(self._take_all())
+            if time.monotonic() > flushed + FLUSH_PERIOD:
+                flushed = time.monotonic()
+                self._attempt(bag.flush)
         time.sleep(LAST_MESSAGES)
-        self._write(self._take_all(), last=True)
+        self._write(self._take_all())
+        self._attempt(self._write_waiting)
         self._count_lost()
+        self._attempt(bag.close)
+        return not self._failure
+
+    def _attempt(self, write: Callable[[], None]) -> None:
+        """Do something to the bag; the first time that the disk refuses is the end of it."""
+        if self._failure:
+            return
+        try:
+            write()
+        except OSError as error:
+            self._failure = error.strerror or str(error)
+            try:
+                self._bag.close()
+                rest = f'the {self._bag.message_count} messages until now are a complete bag'
+            except OSError:
+                rest = f'the bag is not complete: {advice(self._bag.path)}'
+            self.get_logger().fatal(f'stopped recording into {self._bag.path}: {error}; {rest}')
+
+    def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._write(self._take_all())  # what came before
+        self._paused = True
+        return self._answer(response)
+
+    def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._write(self._take_all())  # so that it is passed over
+        self._paused = False
+        return self._answer(response)
+
+    def _answer(self, response: Trigger.Response) -> Trigger.Response:
+        response.success = not self._failure
+        response.message = self._state
+        return response
+
+    @property
+    def _state(self) -> str:
+        if self._failure:
+            return f'stopped: {self._failure}'
+        return 'paused' if self._paused else 'recording'
 
     def _look_at_graph(self) -> None:
         for topic, types in self.get_topic_names_and_types():
@@ -117,7 +196,7 @@ class Recorder(Node):
             if query.values is not None:
                 self._parameters_of[full_name] = query.values
                 self._queries.pop(full_name).destroy()
-                self._bag.set_custom_data(self._custom_data())
+                self._keep_custom_data()
 
     def _is_wanted(self, topic: str) -> bool:
         # In a simulation the log times are the clock's, so it is wanted in any case.
@@ -129,11 +208,10 @@ class Recorder(Node):
         clock = self.get_clock()
         return isinstance(clock, ROSClock) and clock.ros_time_is_active
 
-    def _custom_data(self) -> dict[str, str]:
-        return {
-            'herding_ros_version': __version__,
-            'parameters': json.dumps(self._parameters_of, sort_keys=True, default=list),
-        }
+    def _keep_custom_data(self) -> None:
+        parameters = json.dumps(self._parameters_of, sort_keys=True, default=list)
+        custom_data = {'herding_ros_version': __version__, 'parameters': parameters}
+        self._attempt(lambda: self._bag.set_custom_data(custom_data))
 
     def _follow(self, topic: str, types: Sequence[str]) -> None:
         """Subscribe to a new topic, or anew to one whose new publisher offers less."""
@@ -149,20 +227,18 @@ class Recorder(Node):
         qos = adapted_qos(publishers, DEPTH)
         if tap is None:
             try:
-                message_type = _message_type(types[0])
                 definition = message_definition(types[0])
-            except ValueError as error:
+                tap = Tap(self, topic, _message_type(types[0]), qos)
+            except Exception as error:  # whatever comes from a package that is not ours
                 self._told.add(topic)
                 self.get_logger().warning(f'{topic} is not recorded: {error}')
                 return
-            self._bag.add_topic(
-                topic,
-                types[0],
-                definition,
-                [qos_map(publisher.qos_profile) for publisher in publishers],
-                str(publishers[0].topic_type_hash),
+            self._taps[topic] = tap
+            profiles = [qos_map(publisher.qos_profile) for publisher in publishers]
+            type_hash = str(publishers[0].topic_type_hash)
+            self._attempt(
+                lambda: self._bag.add_topic(topic, types[0], definition, profiles, type_hash)
             )
-            self._taps[topic] = Tap(self, topic, message_type, qos)
             self.get_logger().debug(f'recording {topic} [{types[0]}]')
         elif asks_more(tap.qos, qos):
             self.get_logger().warning(
@@ -180,35 +256,48 @@ class Recorder(Node):
         received.sort(key=attrgetter('publish_ns'))
         return received
 
-    def _write(self, received: list[Received], last: bool = False) -> None:
-        """Write messages. Their log time is when they came in, by the simulation's clock if any.
+    def _write(self, received: list[Received]) -> None:
+        """Write messages, unless paused.
 
-        What comes before the first /clock gets the time of the latter, however long it takes.
+        Their log time is when they came in, by the simulation's clock if any. What comes before
+        the first /clock gets the time of the latter, however long it takes.
         """
-        self._waiting += received
-        if self._in_simulation and self._clock_ns is None:
-            clock = next((message for message in self._waiting if message.topic == CLOCK), None)
-            if clock is not None:
-                self._clock_ns = self._sim_time_ns = _clock_ns(clock.data)
-            elif not last:
-                return
-        log_ns = 0
+        self._attempt(lambda: self._write_in_time(received))
+
+    def _write_in_time(self, received: list[Received]) -> None:
+        in_simulation = self._in_simulation
+        self._wall_time_ns = 0
+        for message in received:
+            if in_simulation and message.topic == CLOCK:
+                self._follow_clock(message.data)
+            if not self._paused:
+                self._waiting.append(message)
+                if not in_simulation or self._clock_ns is not None:
+                    self._write_waiting()
+
+    def _write_waiting(self) -> None:
         for message in self._waiting:
-            if self._clock_ns is None:
-                log_ns = max(log_ns, message.receive_ns)
-            else:
-                if message.topic == CLOCK:
-                    self._follow_clock(_clock_ns(message.data))
-                log_ns = self._sim_time_ns
-            self._bag.write(message.topic, message.data, log_ns, message.publish_ns)
-            self._bytes += len(message.data)
+            self._wall_time_ns = max(self._wall_time_ns, message.receive_ns)
+            log_ns = self._wall_time_ns if self._clock_ns is None else self._sim_time_ns
+            try:
+                self._bag.write(message.topic, message.data, log_ns, message.publish_ns)
+                self._bytes += len(message.data)
+            except ValueError as error:
+                self._refused.add(message.topic, error)
         self._waiting.clear()
 
-    def _follow_clock(self, clock_ns: int) -> None:
+    def _follow_clock(self, data: bytes) -> None:
+        try:
+            seconds, nanoseconds = Reader(data).numbers('iI')
+        except ValueError as error:
+            self._refused.add(CLOCK, error)  # as a clock: it is recorded
+            return
+        clock_ns = max(seconds * 1_000_000_000 + nanoseconds, 0)
         # A reset of the simulation takes its clock back; a bag whose times went back as well
         # would play both runs at once.
-        if self._clock_ns is not None:
-            self._sim_time_ns += max(clock_ns - self._clock_ns, 0)
+        last_ns = 0 if self._clock_ns is None else self._clock_ns
+        self._sim_time_ns += max(clock_ns - last_ns, 0)
+        self._sim_time_ns = min(self._sim_time_ns, LAST_TIME_NS)  # of a clock gone mad
         self._clock_ns = clock_ns
 
     def _count_lost(self) -> None:
@@ -222,15 +311,18 @@ class Recorder(Node):
         self._count_lost()
         values = {
             'bag': self._bag.path,
+            'files': self._bag.file_count,
             'topics': len(self._taps),
             'messages': self._bag.message_count,
             'bytes': self._bytes,
             'lost': self._lost,
+            **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
         }
+        level = DiagnosticStatus.WARN if self._refused.counts else DiagnosticStatus.OK
         status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if self._lost else DiagnosticStatus.OK,
+            level=DiagnosticStatus.ERROR if self._lost or self._failure else level,
             name='recorder: bag',
-            message=f'{self._lost} messages lost' if self._lost else 'recording',
+            message=self._state + (f', {self._lost} messages lost' if self._lost else ''),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
@@ -241,37 +333,48 @@ class Recorder(Node):
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM.
 
-    Returns 0, 2 when the bag cannot be created, 1 when it can be written no more.
+    Returns 0, 2 when the node cannot start or the bag not be created, 1 when the bag could be
+    written no more.
     """
     # An exception raised by a signal could break a message in two, so there is none: the
     # handler only asks to stop.
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    start_ros(args)
-    recorder = Recorder()
-    log = recorder.get_logger()
     try:
-        try:
-            bag = BagWriter(recorder.bag_path)
-        except OSError as error:
-            log.fatal(str(error))
-            return 2
-        log.info(f'recording into {bag.path}')
-        try:
-            with bag:
-                recorder.record(bag, stop)
-        except OSError as error:
-            log.fatal(f'stopped recording into {bag.path}: {error}')
-            return 1
-        log.info(
-            f'recorded {bag.message_count} messages of {len(bag.topics)} topics, '
-            f'{bag.size / 1e6:.1f} MB, in {bag.path}'
-        )
-        return 0
+        start_ros(args)
+        recorder = Recorder()
+    except (ParameterException, rclpy_implementation.RCLError) as error:
+        print(f'cannot start: {error}', file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
+    try:
+        return _record(recorder, stop)
     finally:
         recorder.destroy_node()
         rclpy.try_shutdown()
+        # From here on Python takes its handlers down: another signal would kill.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _record(recorder: Recorder, stop: threading.Event) -> int:
+    """Record into a new bag; returns the exit code."""
+    log = recorder.get_logger()
+    max_duration_ns = recorder.max_duration * 1_000_000_000
+    try:
+        bag = BagWriter(recorder.bag_path, None, recorder.max_size, max_duration_ns)
+    except OSError as error:
+        log.fatal(str(error))
+        return 2
+    log.info(f'recording into {bag.path}')
+    with bag:
+        complete = recorder.record(bag, stop)
+    log.info(
+        f'recorded {bag.message_count} messages of {len(bag.topics)} topics, '
+        f'{bag.size / 1e6:.1f} MB, in {bag.path}'
+    )
+    return 0 if complete else 1
 
 
 def _message_type(name: str) -> Any:
@@ -285,10 +388,16 @@ def _message_type(name: str) -> Any:
         ) from error
 
 
-def _clock_ns(data: bytes) -> int:
-    """Return the time [ns] in a serialised /clock message."""
-    clock = deserialize_message(data, ClockMessage).clock
-    return max(int(clock.sec) * 1_000_000_000 + int(clock.nanosec), 0)
+def _survive_wrong_clocks(node: Node) -> None:
+    """Keep rclpy's own listener to /clock from ending the node when a time is negative."""
+    for subscription in node.subscriptions:
+        if subscription.topic_name == CLOCK:
+            subscription.callback = partial(_take_if_right, subscription.callback)
+
+
+def _take_if_right(take: Callable[[ClockMessage], None], message: ClockMessage) -> None:
+    with suppress(ValueError, OverflowError):
+        take(message)
 
 
 if __name__ == '__main__':

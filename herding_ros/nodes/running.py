@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Callable, Iterable
+from functools import partial
 import os
 from pathlib import Path
 import signal
 import sys
 import threading
 import time
+import traceback
 from typing import Any
 
 import rclpy
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -22,6 +27,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from .parameters import HerdingNode
 from .topic_qos import asks_more
 
 CLOCK = '/clock'
@@ -66,24 +72,57 @@ def start_ros(args: list[str] | None = None) -> None:
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
 
 
-def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+class CannotGoOnError(Exception):
+    """Raised in a callback by a node that cannot go on; its text says why."""
+
+
+def run(make_node: Callable[[], HerdingNode], args: list[str] | None = None) -> int:
     """Spin a node until SIGINT or SIGTERM, and let its last messages arrive.
 
-    Returns the exit code: 0, or 2 when the node was started with a parameter that is not
-    allowed (ValueError), which is printed and nothing else.
+    Returns the exit code: 0; 2 when the node cannot start (ValueError) or go on
+    (CannotGoOnError), whose reason is said; 1 after any other exception, with its traceback.
     """
-    start_ros(args)
-    ended = Future()
-    _on_signal(lambda: ended.set_result(None))
+    code = _run(make_node, args)
+    # It takes Python a second to free the kernels, and nothing is left to be saved.
+    atexit.register(_exit_at_once, code)
+    return code
+
+
+def _run(make_node: Callable[[], HerdingNode], args: list[str] | None) -> int:
+    signals = _Signals()
     try:
+        start_ros(args)
         node = make_node()
-    except ValueError as error:
+    except (ValueError, ParameterException, _rclpy.RCLError) as error:
         print(f'cannot start: {error}', file=sys.stderr)
-        rclpy.shutdown()
+        rclpy.try_shutdown()
         return 2
+    ended = Future()
+
+    def end() -> None:
+        node.stop()
+        ended.set_result(None)
+
+    signals.call(end)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    executor.spin_until_future_complete(ended)
+    code = 0
+    try:
+        executor.spin_until_future_complete(ended)
+    except CannotGoOnError as reason:
+        node.get_logger().fatal(f'ending: {reason}')
+        code = 2
+    except Exception:
+        node.get_logger().fatal(f'ending: {traceback.format_exc()}')
+        code = 1
+    _say_farewell(node)
+    node.destroy_node()
+    rclpy.shutdown()
+    return code
+
+
+def _say_farewell(node: Node) -> None:
+    """Log what was published, and wait until it is acknowledged."""
     published = [p for p in node.publishers if isinstance(p, CountingPublisher) and p.count]
     counts = ', '.join(f'{p.count} on {p.topic_name}' for p in published)
     node.get_logger().info(f'published {counts or "nothing"}')
@@ -92,28 +131,39 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     for publisher in sorted(published, key=lambda p: -p.count):
         remaining = max(deadline - time.monotonic(), 0.0)
         publisher.wait_for_all_acked(Duration(nanoseconds=int(remaining * 1e9)))
-    node.destroy_node()
-    rclpy.shutdown()
-    return 0
 
 
-def _on_signal(act: Callable[[], None]) -> None:
-    """Call act, in a thread of its own, at the first SIGINT or SIGTERM.
+class _Signals:
+    """SIGINT and SIGTERM: end the process with exit code 0, until there is something to call.
 
-    Python's handlers run only when the executor wakes up, and rclpy's shut the context down
-    under the last messages. The byte that Python writes at once wakes a thread instead.
+    Python's handlers run only when the main thread comes to it, and rclpy's shut the context
+    down under the last messages. The byte that Python writes at once wakes a thread instead.
     """
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: None)
 
-    def wait() -> None:
-        os.read(reading, 1)
-        act()
+    def __init__(self) -> None:
+        # While the node is made, kernels may be compiling, and nobody has heard of it.
+        self._act: Callable[[], None] = partial(_exit_at_once, 0)
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: None)
 
-    threading.Thread(target=wait, daemon=True).start()
+        def wait() -> None:
+            os.read(reading, 1)
+            self._act()
+
+        threading.Thread(target=wait, daemon=True).start()
+
+    def call(self, act: Callable[[], None]) -> None:
+        """Call act, in a thread of its own, at the first signal."""
+        self._act = act
+
+
+def _exit_at_once(code: int) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool:

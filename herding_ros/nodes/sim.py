@@ -5,28 +5,30 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 import sys
+import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
+from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from herding_ros.model.flock import distance, spread
-from herding_ros.model.parameters import quantity, TINY
+from herding_ros.model.parameters import Crowd, quantity, TINY
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .inbox import Inbox
-from .parameters import declare, declare_crowd, NodeSettings
-from .refusals import Refusals
+from .parameters import declare, declare_crowd, HerdingNode, NodeSettings
+from .refusals import Refusals, Refused
+from .rivals import sole_publisher
 from .running import (
     ADJUSTABLE,
     CountingPublisher,
@@ -36,6 +38,12 @@ from .running import (
     run,
     UNWATCHED,
 )
+
+LIVE = ('real_time_factor', 'crowd.noise')
+"""Parameters that may change while the sim runs."""
+
+CATCH_UP = 1.0
+"""In real time a sim that was held up makes up for so much; what is more is skipped [s]."""
 
 _PERIODS_PER_MARKER = 5
 
@@ -54,15 +62,16 @@ class SimSettings(NodeSettings):
     time_limit: float = quantity(0.0, 'stand still after this time; 0: never', 's', low=0.0)
 
 
-class Sim(Node):
+class Sim(HerdingNode):
     """A herd behind the topics of real sheep trackers and robots."""
 
     def __init__(self) -> None:
         """Declare parameters and wait until somebody listens."""
         super().__init__('sim')
-        self._settings = declare(self, SimSettings())
-        self._crowd = declare_crowd(self)
+        self._settings = declare(self, SimSettings(), live=LIVE)
+        self._crowd = declare_crowd(self, live=LIVE)
         self._world = declare(self, World())
+        self.get_logger().info('loading kernels, which are compiled the first time')
         self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
         self._goal = np.array(self._settings.goal)
         self._refused = Refusals(self.get_logger())
@@ -78,9 +87,11 @@ class Sim(Node):
             event_callbacks=UNWATCHED,
         )
         dogs = range(1, self._world.dogs + 1)
+        self._true_sheep = sole_publisher(
+            self, 'truth/sheep', lambda: publish(PointCloud2, 'truth/sheep')
+        )
         self._sheep = publish(PointCloud2, 'sheep')
         self._dogs = [publish(Odometry, f'dog_{m}/odom') for m in dogs]
-        self._true_sheep = publish(PointCloud2, 'truth/sheep')
         self._true_dogs = [publish(Odometry, f'truth/dog_{m}/odom') for m in dogs]
         self._tick = publish(ClockMessage, '/clock')
         self._markers = publish(MarkerArray, 'markers')
@@ -90,16 +101,25 @@ class Sim(Node):
             Inbox(self, kind, f'dog_{m}/cmd_vel', 10, qos_overriding_options=ADJUSTABLE)
             for m in dogs
         ]
-        self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1)
+        self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1, raw=True)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(SetBool, '~/pause', self._on_pause)
+        self._ticking: Timer | None = None
+        self._skipped = 0
         self._restart()
+        self.follow([('crowd.', self._crowd), ('', self._settings)], self._take_parameters)
         self._waiting = self.create_timer(0.02, self._start_when_heard, clock=self._wall)
 
     def _restart(self) -> None:
         self._simulation = Simulation(self._crowd, self._world, self._goal)
         self._finished = False
         self._forget_commands()
+
+    def _take_parameters(self, crowd: Crowd, settings: SimSettings) -> None:
+        self._crowd = self._simulation.crowd = crowd
+        self._settings = settings
+        if self._ticking is not None:
+            self._keep_pace()
 
     def _forget_commands(self) -> None:
         """Stand until commands come; in lockstep, until all that answer the state are there."""
@@ -126,8 +146,7 @@ class Sim(Node):
         if self._settings.lockstep:
             self.create_timer(0.0, self._keep_in_step, clock=self._wall)
         else:
-            period = self._world.control_period / self._settings.real_time_factor
-            self.create_timer(period, self._advance_in_real_time, clock=self._wall)
+            self._keep_pace()
 
     def _is_answered(self) -> bool:
         """Whether each dog's commands come from a node that hears sheep and dogs."""
@@ -151,11 +170,16 @@ class Sim(Node):
                     self._refused.add(f'dog_{m}/cmd_vel', error)
 
     def _velocity_in(self, data: bytes, m: int) -> Array:
+        most, now = self._world.max_speed, self._simulation.nanoseconds
         if not self._settings.stamped:
-            return messages.twist_in(data)
-        ns, velocity = messages.command_in(data, m, self._settings.frame)
-        if self._settings.lockstep and ns != self._simulation.nanoseconds:
-            raise ValueError('its stamp is not that of the published state')
+            return messages.twist_in(data, most)
+        ns, velocity = messages.command_in(data, m, self._settings.frame, most)
+        if self._settings.lockstep:
+            if ns != now:
+                raise Refused('wrong stamp', 'its stamp is not that of the published state')
+        elif ns:  # whoever has no clock stamps 0
+            timeout = self._settings.command_timeout
+            messages.check_stamp(ns, now, timeout, timeout)
         return velocity
 
     def _keep_in_step(self) -> None:
@@ -173,10 +197,42 @@ class Sim(Node):
             self._forget_commands()
             self._advance(np.array(given))
 
+    def _keep_pace(self) -> None:
+        """Advance in real time from now on, at the present factor."""
+        if self._ticking is not None:
+            self.destroy_timer(self._ticking)
+        self._period = self._world.control_period / self._settings.real_time_factor
+        # Half-way between two ticks, so that each finds one period due.
+        self._due = time.monotonic() + 0.5 * self._period
+        self._ticking = self.create_timer(
+            self._period, self._advance_in_real_time, clock=self._wall
+        )
+
     def _advance_in_real_time(self) -> None:
-        self._take_commands()
-        if self._paused or self._finished:
+        """Make the periods that are due: one, or more when the last tick came late."""
+        now = time.monotonic()
+        self._skip_before(now - CATCH_UP)
+        while self._due <= now and time.monotonic() < now + LOCKSTEP_TURN:
+            self._due += self._period
+            self._take_commands()
+            if not self._paused and not self._finished:
+                self._advance_with_newest()
+
+    def _skip_before(self, limit: float) -> None:
+        """Give up the periods that were due before a time of the wall clock."""
+        periods = int((limit - self._due) / self._period)
+        if periods <= 0:
             return
+        self._due += periods * self._period
+        self._skipped += periods
+        self.get_logger().warning(
+            f'{periods} control periods came too late and are skipped; '
+            f'lower real_time_factor ({self._settings.real_time_factor:g})',
+            throttle_duration_sec=10.0,
+        )
+
+    def _advance_with_newest(self) -> None:
+        """Move on with the newest commands; a dog whose last is too old stands."""
         oldest = self._simulation.nanoseconds - self._settings.command_timeout * 1e9
         self._advance(
             np.array(
@@ -235,16 +291,19 @@ class Sim(Node):
             'spread_m': float(spread(x)),
             'arrived': simulation.arrived,
             'finished': self._finished,
+            'periods_skipped': self._skipped,
             **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
         }
-        level = DiagnosticStatus.WARN if self._refused.counts else DiagnosticStatus.OK
+        level = (
+            DiagnosticStatus.WARN if self._refused.counts or self._skipped else DiagnosticStatus.OK
+        )
         self._diagnostics.publish(
             messages.diagnostics('sim: herd', simulation.nanoseconds, level, summary, values)
         )
 
-    def _on_goal(self, message: PoseStamped) -> None:
+    def _on_goal(self, data: bytes) -> None:
         try:
-            self._goal = messages.goal_in(message, self._settings.frame)
+            self._goal = messages.goal_in(data, self._settings.frame)
         except ValueError as error:
             self._refused.add('goal_pose', error)
             return

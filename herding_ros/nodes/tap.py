@@ -47,8 +47,10 @@ class Tap:
 
     def take(self) -> list[Received]:
         """Return the messages that have come in, the oldest first."""
+        topic = self.topic
         return [
-            Received(info['source_timestamp'], info['received_timestamp'], self.topic, data)
+            # A stranger's stamp may be none at all, which is negative.
+            Received(max(info['source_timestamp'], 0), info['received_timestamp'], topic, data)
             for data, info in self._inbox.take()
         ]
 

@@ -15,6 +15,7 @@ _TITLES = {
     'stabilisation': 'Stabilisation (Figure "simulation")',
     'symmetry': 'Symmetric herds (section 6.3)',
     'baselines': 'Against simpler controllers',
+    'observation': 'Noisy observations',
 }
 
 

@@ -26,7 +26,8 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from ruamel.yaml import YAML
 
-from herding_ros.bag.writer import BagWriter, CHUNK_SIZE
+from herding_ros.bag.part import CHUNK_SIZE
+from herding_ros.bag.writer import BagWriter
 
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 PROFILE: dict[str, Any] = {

@@ -12,11 +12,12 @@ from herding_ros.control.parameters import (
     Optimiser,
     PAPER,
     Reference,
+    Sensor,
     Weights,
 )
 from herding_ros.model.parameters import Parameters
 
-GROUPS = [Weights, Reference, Horizon, Optimiser, Mapping, Control]
+GROUPS = [Weights, Reference, Horizon, Optimiser, Mapping, Sensor, Control]
 
 
 @pytest.mark.parametrize(
@@ -32,6 +33,8 @@ GROUPS = [Weights, Reference, Horizon, Optimiser, Mapping, Control]
         (lambda: Mapping(observable='spread'), "Mapping.observable is 'spread'"),
         (lambda: Mapping(paths=0), 'Mapping.paths is 0'),
         (lambda: Mapping(max_iterations=-1), 'Mapping.max_iterations is -1'),
+        (lambda: Sensor(position_noise=-0.01), 'Sensor.position_noise is -0.01'),
+        (lambda: Sensor(velocity_noise=math.inf), 'Sensor.velocity_noise is inf'),
         (lambda: Control(max_speed=math.inf), 'Control.max_speed is inf'),
         (lambda: Control(max_speed='5'), "Control.max_speed is '5'"),
         (lambda: Control(weights=None), 'Control.weights is None'),

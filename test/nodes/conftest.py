@@ -33,10 +33,10 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
 class Process:
     """A program of ours as a process of its own, its output in a file."""
 
-    def __init__(self, module: str, arguments: list[str], log: Path) -> None:
+    def __init__(self, command: list[str], log: Path) -> None:
         self._log = log
         self.process = subprocess.Popen(
-            [sys.executable, '-m', module, *arguments],
+            [sys.executable, *command],
             stdin=subprocess.DEVNULL,
             stdout=log.open('wb'),
             stderr=subprocess.STDOUT,
@@ -66,15 +66,18 @@ def start(tmp_path: Path, domain: int) -> Iterator[Callable[..., Process]]:
     """Return a function that starts a program, a node with its parameters; ended afterwards."""
     started: list[Process] = []
 
-    def start_one(name: str, *arguments: str, **parameters: Any) -> Process:
-        words = list(arguments)
+    def start_one(
+        name: str, *arguments: str, program: Path | None = None, **parameters: Any
+    ) -> Process:
+        module = ['-m', f'herding_ros.nodes.{name}']
+        words = [*(module if program is None else [str(program)]), *arguments]
         if parameters:
             words.append('--ros-args')
         for key, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             words += ['-p', f'{key.replace("__", ".")}:={text}']
         log = tmp_path / f'{name}_{len(started)}.log'
-        started.append(Process(f'herding_ros.nodes.{name}', words, log))
+        started.append(Process(words, log))
         return started[-1]
 
     yield start_one

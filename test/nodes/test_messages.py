@@ -1,26 +1,55 @@
-"""Messages carry what was put in, and nothing that must not move a dog gets out."""
+"""Messages carry what was put in, and nothing that must not move a dog gets out.
+
+Foreign messages are written by rosbags, in both byte orders.
+"""
 
 from __future__ import annotations
 
 import array
+from collections.abc import Callable
 import math
+import struct
+import tracemalloc
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, Quaternion, Twist, TwistStamped, Vector3
-from hypothesis import given
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    PoseWithCovariance,
+    Quaternion,
+    Twist,
+    TwistStamped,
+    Vector3,
+)
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from herding_ros.control.plan import Plan
 from herding_ros.nodes import messages
+from herding_ros.nodes.refusals import Refusals, Refused
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+MOST = 1000
+SPEED = 0.05
+
+READERS: dict[str, Callable[[bytes], Any]] = {
+    'sheep': lambda data: messages.sheep_in(data, 'map', MOST),
+    'odometry': lambda data: messages.dog_in(data, 'map'),
+    'command': lambda data: messages.command_in(data, 1, 'map', SPEED),
+    'twist': lambda data: messages.twist_in(data, SPEED),
+    'goal': lambda data: messages.goal_in(data, 'map'),
+}
 
 coordinates = st.floats(-1e3, 1e3, width=32)
 points = st.integers(1, 40).flatmap(lambda n: arrays(np.float64, (n, 2), elements=coordinates))
@@ -29,10 +58,11 @@ points = st.integers(1, 40).flatmap(lambda n: arrays(np.float64, (n, 2), element
 @given(points, st.integers(0, 2**31 * 10**9 - 1))
 def test_sheep_come_out_as_they_went_in(x: np.ndarray, ns: int) -> None:
     data = messages.cloud(x, x[::-1], ns, 'map')
-    out_ns, out_x, out_v = messages.sheep_in(data, 'map')
-    assert out_ns == ns
-    assert np.array_equal(out_x, x)
-    assert np.array_equal(out_v, x[::-1])
+    sheep = messages.sheep_in(data, 'map', len(x))
+    assert sheep.ns == ns
+    assert np.array_equal(sheep.ids, np.arange(len(x)))
+    assert np.array_equal(sheep.x, x)
+    assert np.array_equal(sheep.v, x[::-1])
     message = deserialize_message(data, PointCloud2)
     assert messages.nanoseconds(message.header.stamp) == ns
     assert (message.width, message.height, message.is_dense) == (len(x), 1, True)
@@ -50,150 +80,441 @@ def test_cloud_is_what_rviz_expects() -> None:
     assert message.row_step == message.point_step == len(message.data)
 
 
-def foreign_cloud(names: list[str], kind: str = '<f4', rows: int = 1) -> PointCloud2:
-    """Two rows of sheep in a layout of somebody else's."""
-    dtype = np.dtype([(name, kind) for name in names])
-    data = np.zeros(3 * rows, dtype)
-    for i, name in enumerate(names):
-        data[name] = np.arange(3 * rows) + 10.0 * i
-    assert dtype.fields is not None
-    return PointCloud2(
-        height=rows,
-        width=3,
-        is_bigendian=kind.startswith('>'),
-        point_step=dtype.itemsize,
-        row_step=3 * dtype.itemsize,
+@st.composite
+def foreign_clouds(draw: Any) -> tuple[bytes, np.ndarray, np.ndarray | None]:
+    """A PointCloud2 in any layout that is allowed: its bytes, (x, y, vx, vy) (N, 4) and ids."""
+    height, width = draw(st.integers(1, 3)), draw(st.integers(1, 6))
+    order = draw(st.sampled_from('<>'))
+    read = {name: draw(st.sampled_from(['f4', 'f8'])) for name in ('x', 'y', 'vx', 'vy')}
+    if draw(st.booleans()):
+        read['id'] = draw(st.sampled_from(['i1', 'u1', 'i2', 'u2', 'i4', 'u4']))
+    names = st.text(st.characters(exclude_characters='\0', exclude_categories=['Cs']), max_size=20)
+    others = draw(st.sets(names.filter(lambda name: name not in (*read, 'id')), max_size=4))
+    fields, offset = [], 0
+    for name in draw(st.permutations([*read, *sorted(others)])):
+        kind = read.get(name) or draw(st.sampled_from(list(DATATYPES)))
+        count = 1 if name in read else draw(st.integers(0, 3))
+        offset += draw(st.integers(0, 9))
+        fields.append((name, offset, DATATYPES[kind], count))
+        offset += np.dtype(kind).itemsize * count
+    step = offset + draw(st.integers(0, 9))
+    row_step = width * step + draw(st.integers(0, 9))
+
+    data = bytearray(draw(st.binary(min_size=height * row_step, max_size=height * row_step)))
+    values = np.empty((height * width, 4))
+    ids = None
+    if 'id' in read:
+        limits = np.iinfo(read['id'])
+        whole = st.integers(int(limits.min), int(limits.max))
+        ids = np.array(
+            draw(st.lists(whole, min_size=len(values), max_size=len(values), unique=True))
+        )
+    offsets = {name: offset for name, offset, *_ in fields}
+    for i in range(len(values)):
+        at = i // width * row_step + i % width * step
+        for column, name in enumerate(('x', 'y', 'vx', 'vy')):
+            values[i, column] = draw(st.floats(-1e3, 1e3, width=8 * int(read[name][1])))
+            kind = {'f4': 'f', 'f8': 'd'}[read[name]]
+            struct.pack_into(order + kind, data, at + offsets[name], values[i, column])
+        if ids is not None:
+            one = np.array([ids[i]]).astype(order + read['id']).tobytes()
+            data[at + offsets['id'] : at + offsets['id'] + len(one)] = one
+    message = PointCloud2(
+        header=Header(stamp=Time(sec=1, nanosec=2), frame_id='map'),
+        height=height,
+        width=width,
         fields=[
-            PointField(
-                name=name,
-                offset=offset,
-                datatype=PointField.FLOAT64 if field.itemsize == 8 else PointField.FLOAT32,
-                count=1,
-            )
-            for name, (field, offset) in dtype.fields.items()
+            PointField(name=name, offset=offset, datatype=datatype, count=count)
+            for name, offset, datatype, count in fields
         ],
-        data=array.array('B', data.tobytes()),
+        is_bigendian=order == '>',
+        point_step=step,
+        row_step=row_step,
+        data=array.array('B', bytes(data)),
+        is_dense=draw(st.booleans()),
+    )
+    return (
+        in_either_order(serialize_message(message), PointCloud2, draw(st.booleans())),
+        values,
+        ids,
     )
 
 
-@pytest.mark.parametrize('kind', ['<f4', '>f4', '<f8'])
-def test_other_layouts_are_understood(kind: str) -> None:
-    cloud = foreign_cloud(['vy', 'intensity', 'y', 'x', 'vx'], kind, rows=2)
-    _, x, v = messages.sheep_in(serialize_message(cloud), '')
-    assert np.array_equal(x, np.stack([np.arange(6) + 30.0, np.arange(6) + 20.0], axis=1))
-    assert np.array_equal(v, np.stack([np.arange(6) + 40.0, np.arange(6) + 0.0], axis=1))
+DATATYPES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
 
 
-def truncated(cloud: PointCloud2) -> PointCloud2:
-    cloud.data = cloud.data[:-1]
-    return cloud
+def in_either_order(data: bytes, kind: Any, big: bool) -> bytes:
+    """The message in data, with its numbers in big-endian byte order if so wished."""
+    if not big:
+        return data
+    name = f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
+    message = STORE.deserialize_cdr(data, name)
+    return bytes(STORE.serialize_cdr(message, name, little_endian=False))
 
 
-def beyond_step(cloud: PointCloud2) -> PointCloud2:
-    cloud.fields[0].offset = cloud.point_step
-    return cloud
+@given(foreign_clouds(), st.integers(0, 3))
+@settings(max_examples=200)
+def test_any_layout_of_a_cloud_is_understood(
+    cloud: tuple[bytes, np.ndarray, np.ndarray | None], padding: int
+) -> None:
+    """Padded too at its end, as some send it: to a multiple of four bytes."""
+    data, values, ids = cloud
+    sheep = messages.sheep_in(data + bytes(min(padding, -len(data) % 4)), 'map', len(values))
+    assert sheep.ns == 1_000_000_002
+    order = np.arange(len(values)) if ids is None else np.argsort(ids.astype(np.uint32))
+    assert np.array_equal(sheep.ids, order if ids is None else ids.astype(np.uint32)[order])
+    assert np.array_equal(sheep.x, values[order, :2])
+    assert np.array_equal(sheep.v, values[order, 2:])
 
 
-def integer_cloud() -> PointCloud2:
-    cloud = foreign_cloud(['x', 'y', 'vx', 'vy'])
-    cloud.fields[2].datatype = PointField.INT32
-    return cloud
+def cloud_with(**changes: Any) -> bytes:
+    """A cloud of ours of three sheep, but for the given attributes."""
+    data = messages.cloud(np.eye(3)[:, :2], np.zeros((3, 2)), 0, 'map')
+    message = deserialize_message(data, PointCloud2)
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return serialize_message(message)
 
 
-def with_value(value: float) -> PointCloud2:
-    data = messages.cloud(np.array([[0.0, value]]), np.zeros((1, 2)), 0, '')
-    return deserialize_message(data, PointCloud2)
+def fields_with(index: int, **changes: Any) -> bytes:
+    """The same, but for attributes of one of its fields id, x, y, z, vx, vy, vz."""
+    fields = deserialize_message(cloud_with(), PointCloud2).fields
+    for name, value in changes.items():
+        setattr(fields[index], name, value)
+    return cloud_with(fields=fields)
 
 
-@pytest.mark.parametrize(
-    ('cloud', 'complaint'),
-    [
-        (foreign_cloud(['x', 'y', 'vx']), 'vy'),
-        (integer_cloud(), 'FLOAT32'),
-        (truncated(foreign_cloud(['x', 'y', 'vx', 'vy'])), 'bytes'),
-        (beyond_step(foreign_cloud(['x', 'y', 'vx', 'vy'])), 'itemsize'),
-        (PointCloud2(fields=foreign_cloud(['x', 'y', 'vx', 'vy']).fields), 'empty'),
-        (with_value(math.nan), 'NaN'),
-        (with_value(math.inf), 'infinite'),
-    ],
-)
-def test_bad_clouds_are_refused(cloud: PointCloud2, complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        messages.sheep_in(serialize_message(cloud), '')
+def points_with(at: int, number: bytes) -> bytes:
+    """The same, but for some bytes of its points, which take 28 each."""
+    points = deserialize_message(cloud_with(), PointCloud2).data
+    points[at : at + len(number)] = array.array('B', number)
+    return cloud_with(data=points)
+
+
+def number(value: float) -> bytes:
+    return struct.pack('<f', value)
+
+
+ONE_ROW = array.array('B', bytes(84))
+BAD_CLOUDS = {
+    'no field': (cloud_with(fields=[]), 'wrong fields'),
+    'no vy': (fields_with(5, name='speed'), 'wrong fields'),
+    'integer x': (fields_with(1, datatype=PointField.INT32), 'wrong fields'),
+    'two numbers in x': (fields_with(1, count=2), 'wrong fields'),
+    'no number in x': (fields_with(1, count=0), 'wrong fields'),
+    'float id': (fields_with(0, datatype=PointField.FLOAT32), 'wrong fields'),
+    'two numbers in id': (fields_with(0, count=2), 'wrong fields'),
+    'many fields': (
+        cloud_with(fields=[PointField(name=f'{k}', datatype=2, count=1) for k in range(65)]),
+        'wrong fields',
+    ),
+    'unknown type': (fields_with(3, datatype=99), 'malformed'),
+    'two fields x': (fields_with(2, name='x'), 'malformed'),
+    'field beyond the point': (fields_with(6, offset=25), 'malformed'),
+    'field far beyond the point': (fields_with(6, offset=2**32 - 1), 'malformed'),
+    'field where NumPy looks for it beyond its memory': (
+        fields_with(6, offset=2**31 - 1),
+        'malformed',
+    ),
+    'long name': (fields_with(3, name='z' * 256), 'malformed'),
+    'too few bytes': (cloud_with(data=ONE_ROW[:-1]), 'malformed'),
+    'too many bytes': (cloud_with(data=ONE_ROW + ONE_ROW[:1]), 'malformed'),
+    'row shorter than its points': (cloud_with(row_step=83, data=ONE_ROW[:-1]), 'malformed'),
+    'no row step': (cloud_with(row_step=0), 'malformed'),
+    'no point step': (cloud_with(point_step=0), 'malformed'),
+    'points of no size': (
+        cloud_with(point_step=0, row_step=0, data=ONE_ROW[:0]),
+        'malformed',
+    ),
+    'steps beyond all': (cloud_with(point_step=2**32 - 1, row_step=2**32 - 1), 'malformed'),
+    'stamp of more than a second': (
+        cloud_with(header=Header(stamp=Time(nanosec=10**9), frame_id='map')),
+        'malformed',
+    ),
+    'empty': (cloud_with(width=0, row_step=0, data=ONE_ROW[:0]), 'empty'),
+    'no rows': (cloud_with(height=0, data=ONE_ROW[:0]), 'empty'),
+    'one too many': (
+        messages.cloud(np.zeros((MOST + 1, 2)), np.zeros((MOST + 1, 2)), 0, 'map'),
+        'too many sheep',
+    ),
+    'far too many': (cloud_with(width=2**32 - 1, height=2**32 - 1), 'too many sheep'),
+    'same id': (points_with(28, bytes(4)), 'duplicate ids'),
+    'NaN in x': (points_with(4, number(math.nan)), 'not finite'),
+    'signalling NaN in vx': (points_with(44, b'\1\0\x80\x7f'), 'not finite'),
+    'infinity': (points_with(36, number(math.inf)), 'not finite'),
+    'minus infinity': (points_with(64, number(-math.inf)), 'not finite'),
+    'huge x': (points_with(4, number(1.1e6)), 'too large'),
+    'huge vy': (points_with(48, number(-3e38)), 'too large'),
+    'other frame': (cloud_with(header=Header(frame_id='odom')), 'wrong frame'),
+    'no frame': (cloud_with(header=Header()), 'wrong frame'),
+    'frame of two names': (cloud_with(header=Header(frame_id='map ')), 'wrong frame'),
+}
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize(('cloud', 'kind'), BAD_CLOUDS.values(), ids=BAD_CLOUDS)
+def test_bad_clouds_are_refused(cloud: bytes, kind: str) -> None:
+    with pytest.raises(Refused) as refused:
+        messages.sheep_in(cloud, 'map', MOST)
+    assert refused.value.kind == kind
+
+
+def test_what_is_not_read_may_be_anything() -> None:
+    """NaN as the height of sheep, dogs and goals, and in covariances, says 'not known'."""
+    assert len(messages.sheep_in(points_with(12, number(math.nan)), 'map', 3).ids) == 3
+    odometry = deserialize_message(ODOMETRY, Odometry)
+    odometry.pose.pose.position.z = math.nan
+    odometry.pose.covariance[0] = odometry.twist.covariance[0] = math.nan
+    odometry.twist.twist.linear.x = math.inf
+    assert messages.dog_in(serialize_message(odometry), 'map')[2] == 0.0
+    goal = PoseStamped(header=Header(frame_id='map'))
+    goal.pose.position.z = goal.pose.orientation.w = math.nan
+    assert not messages.goal_in(serialize_message(goal), 'map').any()
+
+
+def absurd_length(at: int, length: int) -> bytes:
+    data = bytearray(cloud_with())
+    struct.pack_into('<I', data, at, length)
+    return bytes(data)
+
+
+@pytest.mark.parametrize('length', [2**24, 2**31 - 1, 2**31, 2**32 - 1])
+@pytest.mark.parametrize('at', [12, 20, 24, 28, 32, 176, 180, 184])
+def test_absurd_lengths_take_no_memory(at: int, length: int) -> None:
+    """Those of the frame, the rows, the points, the fields, a name, the steps and the data."""
+    data = absurd_length(at, length)
+    peak = peak_of_refusing(data)
+    assert peak < 20_000
+
+
+def test_more_points_than_allowed_are_not_even_copied() -> None:
+    n = 100_000
+    data = messages.cloud(np.zeros((n, 2)), np.zeros((n, 2)), 0, 'map')
+    assert len(data) > 28 * n
+    assert peak_of_refusing(data) < 20_000
+
+
+def test_a_megabyte_of_fields_is_refused_unseen() -> None:
+    data = bytearray(messages.cloud(np.zeros((40_000, 2)), np.zeros((40_000, 2)), 0, 'map'))
+    struct.pack_into('<III', data, 20, 1, 1, 60_000)
+    assert peak_of_refusing(bytes(data)) < 20_000
+
+
+def peak_of_refusing(data: bytes) -> int:
+    """How many bytes were in use more than before while sheep were refused."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(Refused):
+            messages.sheep_in(data, 'map', MOST)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
 
 
 def test_wrong_frame_is_refused_and_named() -> None:
-    cloud = messages.cloud(np.zeros((1, 2)), np.zeros((1, 2)), 0, 'odom')
-    with pytest.raises(ValueError, match="'odom', allowed is 'map'"):
-        messages.sheep_in(cloud, 'map')
     dog = messages.odometry(np.zeros(2), np.zeros(2), 1, 0, 'odom')
-    for _ in range(2):
-        with pytest.raises(ValueError, match="'odom', allowed is 'map'"):
-            messages.dog_in(dog, 'map')
+    goal = serialize_message(PoseStamped(header=Header(frame_id='odom')))
+    sheep = messages.cloud(np.zeros((1, 2)), np.zeros((1, 2)), 0, 'odom')
+    for what, data in [('sheep', sheep), ('odometry', dog), ('goal', goal)]:
+        with pytest.raises(Refused, match="'odom', allowed is 'map'"):
+            READERS[what](data)
     command = messages.command(np.zeros(2), 0.0, 2, 0)
-    with pytest.raises(ValueError, match='dog_2/base_link'):
-        messages.command_in(command, 1, 'map')
+    with pytest.raises(Refused, match="dog_2/base_link', allowed is 'dog_1/base_link' or 'map'"):
+        READERS['command'](command)
 
 
-@given(arrays(np.float64, (2, 2), elements=coordinates), st.floats(-3.1, 3.1), st.text())
+ODOMETRY = messages.odometry(np.zeros(2), np.zeros(2), 1, 0, 'map')
+names = st.text(st.characters(exclude_characters='\0', exclude_categories=['Cs']), max_size=60)
+numbers = st.floats(-1e5, 1e5)
+turns = st.floats(-3.1, 3.1)
+
+
+@given(
+    arrays(np.float64, (2, 2), elements=coordinates), turns, names, st.floats(0.96, 1.04),
+    st.booleans(),
+)  # fmt: skip
 def test_dog_and_heading_come_out_as_they_went_in(
-    values: np.ndarray, heading: float, child: str
+    values: np.ndarray, heading: float, child: str, length: float, big: bool
 ) -> None:
-    """Also from others' robots, which fill in what we leave at zero."""
+    """Also from others' robots, which fill in what we leave at zero, and round quaternions."""
     data = messages.odometry(values[0], values[1], 3, 5, 'map')
     message = deserialize_message(data, Odometry)
     assert message.header == Header(stamp=Time(nanosec=5), frame_id='map')
     assert message.child_frame_id == 'dog_3/base_link'
     assert message.twist.twist.linear == Vector3(x=values[1, 0], y=values[1, 1])
     assert messages.dog_in(data, 'map')[2] == 0.0
-    message.child_frame_id = child.replace('\0', '')
-    message.pose.pose.orientation.z = math.sin(heading / 2)
-    message.pose.pose.orientation.w = math.cos(heading / 2)
+    message.child_frame_id = child
+    message.pose.pose.orientation.z = length * math.sin(heading / 2)
+    message.pose.pose.orientation.w = length * math.cos(heading / 2)
     message.pose.covariance = message.twist.covariance = values[0, 0] + np.arange(36.0)
-    ns, position, out = messages.dog_in(serialize_message(message), 'map')
+    foreign = in_either_order(serialize_message(message), Odometry, big)
+    ns, position, out = messages.dog_in(foreign, 'map')
     assert ns == 5
     assert np.array_equal(position, values[0])
     assert out == pytest.approx(heading, abs=1e-12)
 
 
+@given(turns, st.floats(-1.5, 1.5), turns)
+def test_heading_is_where_the_nose_points(roll: float, pitch: float, yaw: float) -> None:
+    """Of a dog on a slope too: R_z(yaw) R_y(pitch) R_x(roll) turns the x axis to that heading."""
+    x, y, z, w = product(
+        product((0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)),
+                (0.0, math.sin(pitch / 2), 0.0, math.cos(pitch / 2))),
+        (math.sin(roll / 2), 0.0, 0.0, math.cos(roll / 2)),
+    )  # fmt: skip
+    message = deserialize_message(ODOMETRY, Odometry)
+    message.pose.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+    _, _, heading = messages.dog_in(serialize_message(message), 'map')
+    assert heading == pytest.approx(yaw, abs=1e-10)
+
+
+def product(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, ...]:
+    """Hamilton's product of quaternions (x, y, z, w)."""
+    u, v = np.array(a[:3]), np.array(b[:3])
+    return *(a[3] * v + b[3] * u + np.cross(u, v)), a[3] * b[3] - u @ v
+
+
+def pose_with(**changes: float) -> Pose:
+    pose = Pose(position=Point(), orientation=Quaternion(w=1.0))
+    for name, value in changes.items():
+        setattr(pose.position if name in ('px', 'py') else pose.orientation, name[-1], value)
+    return pose
+
+
+def odometry_with(**changes: float) -> bytes:
+    pose = PoseWithCovariance(pose=pose_with(**changes))
+    return serialize_message(Odometry(header=Header(frame_id='map'), pose=pose))
+
+
+def goal_with(**changes: float) -> bytes:
+    return serialize_message(PoseStamped(header=Header(frame_id='map'), pose=pose_with(**changes)))
+
+
+def twist_with(part: str = 'linear', **changes: float) -> Twist:
+    return Twist(**{part: Vector3(**changes)})
+
+
+def command_with(part: str = 'linear', **changes: float) -> bytes:
+    twist = twist_with(part, **changes)
+    return serialize_message(TwistStamped(header=Header(frame_id='map'), twist=twist))
+
+
+BAD = [(math.nan, 'not finite'), (math.inf, 'not finite'), (-math.inf, 'not finite')]
+
+
 @pytest.mark.parametrize(
-    'read',
+    ('what', 'data', 'kind'),
     [
-        lambda data: messages.dog_in(data, 'map'),
-        lambda data: messages.command_in(data, 1, 'map'),
-        lambda data: messages.sheep_in(data, 'map'),
-        messages.twist_in,
+        *(('odometry', odometry_with(**{at: bad}), kind) for bad, kind in BAD
+          for at in ('px', 'py', 'x', 'y', 'z', 'w')),
+        *(('odometry', odometry_with(**{at: 1e300}), 'too large') for at in ('px', 'py', 'w')),
+        ('odometry', odometry_with(w=0.0), 'not a rotation'),
+        ('odometry', odometry_with(w=0.94), 'not a rotation'),
+        ('odometry', odometry_with(z=0.5), 'not a rotation'),
+        ('odometry', odometry_with(x=1e-200, w=0.0), 'not a rotation'),
+        *(('goal', goal_with(**{at: bad}), kind) for at in ('px', 'py')
+          for bad, kind in [*BAD, (1e300, 'too large'), (-1.1e6, 'too large')]),
+        *(('command', command_with(part, **{at: bad}), kind) for bad, kind in BAD
+          for part in ('linear', 'angular') for at in ('x', 'y', 'z')),
+        ('command', command_with(x=SPEED * 1.00001), 'too fast'),
+        ('command', command_with(x=-0.04, y=0.04), 'too fast'),
+        ('command', command_with(y=1e300), 'too fast'),
+        ('twist', serialize_message(twist_with(x=0.051)), 'too fast'),
+        *(('twist', serialize_message(twist_with(y=bad)), kind) for bad, kind in BAD),
     ],
-)
-@pytest.mark.parametrize('length', [0, 3, 4, 12, 100, 722])
-def test_bytes_that_are_no_message_are_refused(read: Any, length: int) -> None:
-    with pytest.raises(ValueError, match=r'no message|too few|NaN'):
-        read((b'\0\1\0\0' + b'\xff' * length)[:length])
+)  # fmt: skip
+def test_numbers_that_must_not_move_a_dog_are_refused(what: str, data: bytes, kind: str) -> None:
+    with pytest.raises(Refused) as refused:
+        READERS[what](data)
+    assert refused.value.kind == kind
 
 
-def test_message_with_bytes_left_over_is_refused() -> None:
-    data = messages.odometry(np.zeros(2), np.zeros(2), 1, 0, 'map')
-    with pytest.raises(ValueError, match='belong to nothing'):
-        messages.dog_in(data + bytes(8), 'map')
+VALID = {
+    'sheep': (cloud_with(), PointCloud2),
+    'odometry': (odometry_with(px=1.0), Odometry),
+    'command': (command_with(x=0.01), TwistStamped),
+    'twist': (serialize_message(twist_with(x=0.01)), Twist),
+    'goal': (goal_with(px=1.0), PoseStamped),
+}
 
 
-def big_endian(data: bytes) -> bytes:
-    """The Odometry of dog_1 in frame 'map' in the other byte order."""
-    text = b''.join(
-        len(word).to_bytes(4, 'big') + word for word in (b'map\0', b'dog_1/base_link\0')
-    )
-    stamp = np.frombuffer(data, '<u4', 2, 4).astype('>u4').tobytes()
-    numbers = np.frombuffer(data, '<f8', 85, len(data) - 680).astype('>f8').tobytes()
-    gap = bytes(-len(stamp + text) % 8)
-    return bytes(4) + stamp + text + gap + numbers
+def read_or_refused(what: str, data: bytes) -> None:
+    """Whatever comes, it is refused, or what is made of it can do no harm."""
+    try:
+        read = READERS[what](data)
+    except Refused:
+        return
+    if what == 'sheep':
+        assert 1 <= len(read.ids) <= MOST
+        assert read.x.shape == read.v.shape == (len(read.ids), 2)
+        assert np.all(np.diff(read.ids.astype(np.int64)) > 0)
+        values = [*read.x.ravel(), *read.v.ravel()]
+    elif what == 'odometry':
+        values = [*read[1], read[2]]
+    else:
+        values = list(read[1] if what == 'command' else read)
+    assert all(abs(value) <= 1e6 for value in values)
+    if what in ('command', 'twist'):
+        assert math.hypot(*values) <= SPEED * 1.000002
 
 
-def test_other_byte_order_is_understood() -> None:
-    d = np.array([0.25, -3.0])
-    data = messages.odometry(d, np.zeros(2), 1, 4_000_000_007, 'map')
-    ns, position, heading = messages.dog_in(big_endian(data), 'map')
-    assert (ns, heading) == (4_000_000_007, 0.0)
-    assert np.array_equal(position, d)
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('what', READERS)
+@given(st.sampled_from([b'', b'\0\1\0\0', b'\0\0\0\0', b'\0\3\0\0', b'\0\1\0\0' + bytes(12)]),
+       st.binary(max_size=800))  # fmt: skip
+@settings(max_examples=300)
+def test_random_bytes_are_harmless(what: str, beginning: bytes, data: bytes) -> None:
+    read_or_refused(what, beginning + data)
+
+
+@st.composite
+def mutations(draw: Any, data: bytes) -> bytes:
+    """The message with a few bytes, lengths or numbers changed, cut off, or with a part twice."""
+    mutated = bytearray(data)
+    for _ in range(draw(st.integers(1, 4))):
+        at = draw(st.integers(0, max(len(mutated) - 1, 0)))
+        what = draw(st.integers(0, 4))
+        if what == 0:
+            mutated[at : at + 1] = draw(st.binary(min_size=1, max_size=1))
+        elif what == 1:
+            word = draw(st.sampled_from([0, 1, 255, 256, 2**16, 2**31 - 1, 2**31, 2**32 - 1]))
+            at -= at % 4
+            mutated[at : at + 4] = word.to_bytes(4, draw(st.sampled_from(['little', 'big'])))
+        elif what == 2:
+            value = draw(st.sampled_from([math.nan, math.inf, -math.inf, 1e300, -0.0, 5e-324]))
+            at -= at % 4
+            mutated[at : at + 8] = struct.pack(draw(st.sampled_from('<>')) + 'd', value)
+        elif what == 3:
+            del mutated[at : at + draw(st.integers(1, 8))]
+        else:
+            mutated[at:at] = mutated[at : at + draw(st.integers(1, 40))]
+    return bytes(mutated[: draw(st.integers(0, len(mutated)))] if draw(st.booleans()) else mutated)
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('big', [False, True])
+@pytest.mark.parametrize('what', READERS)
+@given(st.data())
+@settings(max_examples=300)
+def test_mutated_messages_are_harmless(what: str, big: bool, data: st.DataObject) -> None:
+    valid, kind = VALID[what]
+    read_or_refused(what, data.draw(mutations(in_either_order(valid, kind, big))))
+
+
+@pytest.mark.parametrize('big', [False, True])
+@pytest.mark.parametrize('what', READERS)
+def test_cut_off_messages_are_refused_at_any_length(what: str, big: bool) -> None:
+    valid, kind = VALID[what]
+    data = in_either_order(valid, kind, big)
+    READERS[what](data)
+    for length in range(len(data)):
+        with pytest.raises(Refused) as refused:
+            READERS[what](data[:length])
+        assert refused.value.kind == 'malformed'
+    for more in (8, 1000):
+        with pytest.raises(Refused) as refused:
+            READERS[what](data + bytes(more))
+        assert refused.value.kind == 'malformed'
 
 
 def test_command_is_in_the_body_frame() -> None:
@@ -206,35 +527,104 @@ def test_command_is_in_the_body_frame() -> None:
     assert message.header.stamp == Time(nanosec=7)
 
 
-@given(arrays(np.float64, (2,), elements=coordinates))
-def test_command_to_an_aligned_dog_keeps_every_bit(u: np.ndarray) -> None:
-    ns, velocity = messages.command_in(messages.command(u, 0.0, 1, 8), 1, 'map')
+@given(arrays(np.float64, (2,), elements=st.floats(-0.035, 0.035)), st.booleans())
+def test_command_to_an_aligned_dog_keeps_every_bit(u: np.ndarray, big: bool) -> None:
+    data = in_either_order(messages.command(u, 0.0, 1, 8), TwistStamped, big)
+    ns, velocity = messages.command_in(data, 1, 'map', SPEED)
     assert ns == 8
     assert np.array_equal(velocity, u)
-    assert np.array_equal(messages.twist_in(serialize_message(messages.twist(u, 0.0))), u)
+    data = in_either_order(serialize_message(messages.twist(u, 0.0)), Twist, big)
+    assert np.array_equal(messages.twist_in(data, SPEED), u)
 
 
-@pytest.mark.parametrize('bad', [math.nan, math.inf, -math.inf])
-def test_bad_commands_and_goals_are_refused(bad: float) -> None:
-    with pytest.raises(ValueError, match='NaN or infinite'):
-        messages.twist_in(serialize_message(Twist(linear=Vector3(x=bad))))
-    command = TwistStamped(twist=Twist(linear=Vector3(y=bad)))
-    with pytest.raises(ValueError, match='NaN or infinite'):
-        messages.command_in(serialize_message(command), 1, '')
-    for field in ('position', 'orientation'):
-        odometry = Odometry()
-        getattr(odometry.pose.pose, field).y = bad
-        with pytest.raises(ValueError, match='NaN or infinite'):
-            messages.dog_in(serialize_message(odometry), '')
-    goal = PoseStamped()
-    goal.pose.position.y = bad
-    with pytest.raises(ValueError, match='NaN or infinite'):
-        messages.goal_in(goal, '')
+@given(turns, turns)
+def test_full_speed_is_not_too_fast_in_any_direction(direction: float, heading: float) -> None:
+    u = SPEED * np.array([math.cos(direction), math.sin(direction)])
+    _, velocity = messages.command_in(messages.command(u, heading, 1, 0), 1, 'map', SPEED)
+    assert np.linalg.norm(velocity) == pytest.approx(SPEED)
+
+
+@given(arrays(np.float64, (2,), elements=numbers), st.integers(0, 2**31 - 1), st.booleans())
+def test_goal_comes_out_as_it_went_in(goal: np.ndarray, sec: int, big: bool) -> None:
+    message = PoseStamped(
+        header=Header(stamp=Time(sec=sec), frame_id='map'),
+        pose=Pose(position=Point(x=goal[0], y=goal[1], z=3.0)),
+    )
+    data = in_either_order(serialize_message(message), PoseStamped, big)
+    assert np.array_equal(messages.goal_in(data, 'map'), goal)
+
+
+@pytest.mark.parametrize('ns', [-(10**19), -(2**31) * 10**9, -1, 0, 2**31 * 10**9 - 1, 10**19])
+def test_times_beyond_all_stamps_become_the_last_one(ns: int) -> None:
+    """A clock gone mad must not end a node."""
+    stamp = messages.stamp_of(ns)
+    nearest = min(max(ns, -(2**31) * 10**9), 2**31 * 10**9 - 1)
+    assert messages.nanoseconds(stamp) == nearest
+    data = messages.command(np.zeros(2), 0.0, 1, ns)
+    assert messages.command_in(data, 1, 'map', SPEED)[0] == nearest
+
+
+NOW = 1_700_000_000_000_000_000
+
+
+@pytest.mark.parametrize('seconds', [-2.0, -0.1, 0.0, 0.5])
+def test_stamps_of_about_now_are_good(seconds: float) -> None:
+    messages.check_stamp(NOW + round(seconds * 1e9), NOW, oldest=2.0, ahead=0.5)
+
+
+@pytest.mark.parametrize(
+    ('ns', 'kind'),
+    [
+        (NOW - 2_000_001_000, 'stamp too old'),
+        (NOW + 500_001_000, 'stamp in the future'),
+        (0, 'stamp too old'),
+        (-(2**31) * 10**9, 'stamp too old'),
+        (2**31 * 10**9, 'stamp in the future'),
+    ],
+)
+def test_stamps_of_another_time_are_refused(ns: int, kind: str) -> None:
+    with pytest.raises(Refused) as refused:
+        messages.check_stamp(ns, NOW, oldest=2.0, ahead=0.5)
+    assert refused.value.kind == kind
+
+
+class Log:
+    """Stands in for a node's logger."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def warning(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def test_refusals_are_counted_by_topic_and_kind_and_logged_once_each() -> None:
+    log = Log()
+    refusals = Refusals(log)  # type: ignore[arg-type]
+    for k in range(10_000):
+        for topic, frame in [('sheep', f'frame_{k}'), ('goal_pose', 'x' * k)]:
+            with pytest.raises(Refused) as refused:
+                messages.check_frame('it', frame, 'map')
+            refusals.add(topic, refused.value)
+        refusals.add('sheep', Refused('empty', f'{k}'))
+        refusals.add('sheep', ValueError(f'{k}'))
+    counts = {'sheep: wrong frame', 'goal_pose: wrong frame', 'sheep: empty', 'sheep: not allowed'}
+    assert refusals.counts == dict.fromkeys(counts, 10_000)
+    assert sorted(line.split('(')[1].split(')')[0] for line in log.lines) == sorted(counts)
+    assert all(len(line) < 500 for line in log.lines)
+
+
+def test_names_in_a_refusal_cannot_write_to_the_terminal() -> None:
+    with pytest.raises(Refused) as refused:
+        messages.check_frame('it', '\x1b[2J\n[INFO] all is well', 'map')
+    assert str(refused.value).isprintable()
 
 
 def test_plan_says_when_and_where() -> None:
     u = np.arange(12.0).reshape(3, 2, 2)
-    data = messages.trajectory(Plan(4.0, 0.4, u), u + 100.0, 4_000_000_000, 'map')
+    data = messages.trajectory(
+        Plan(4.0, 0.4, u), u + 100.0, ('dog_1', 'dog_2'), 4_000_000_000, 'map'
+    )
     message = deserialize_message(data, MultiDOFJointTrajectory)
     assert message.header == Header(stamp=Time(sec=4), frame_id='map')
     assert message.joint_names == ['dog_1', 'dog_2']

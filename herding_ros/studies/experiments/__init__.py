@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from . import direct, herding, symmetry, variant, window
+from . import direct, herding, observation, symmetry, variant, window
 
 EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
     'direct': direct.run,
     'herding': herding.run,
+    'observation': observation.run,
     'symmetry': symmetry.run,
     'variant': variant.run,
     'window': window.run,

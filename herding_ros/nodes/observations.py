@@ -1,0 +1,113 @@
+"""What is known of the herd: the newest messages of sheep and dogs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from nav_msgs.msg import Odometry
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from herding_ros.model.state import Array, HerdState
+
+from . import messages
+from .inbox import Inbox
+from .refusals import Refusals
+from .running import ADJUSTABLE
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The sheep and the dogs in sight at ns, which is the stamp of the oldest message.
+
+    ids: (N,) names of the sheep; dogs: indices of the dogs in the state, from 0;
+    sheep_ns: stamp of the sheep.
+    """
+
+    ns: int
+    sheep_ns: int
+    ids: NDArray[np.integer]
+    state: HerdState
+    dogs: tuple[int, ...]
+
+
+class Observations:
+    """Holds the newest good message of the sheep and of each dog, and refuses all others."""
+
+    def __init__(
+        self, node: Node, dogs: int, frame: str, most_sheep: int, timeout: float, refused: Refusals
+    ) -> None:
+        """Listen. What is older than `timeout` [s], or as far ahead, is refused and not seen."""
+        self.headings: Array = np.zeros(dogs)
+        """Newest known headings of the dogs (M,) [rad]."""
+        self._frame = frame
+        self._most_sheep = most_sheep
+        self._timeout = timeout
+        self._refused = refused
+        self._flock: messages.Sheep | None = None
+        self._places: dict[int, tuple[int, Array]] = {}
+        self._sheep = Inbox(node, PointCloud2, 'sheep', 10, qos_overriding_options=ADJUSTABLE)
+        self._odometry = [
+            Inbox(node, Odometry, f'dog_{m + 1}/odom', 10, qos_overriding_options=ADJUSTABLE)
+            for m in range(dogs)
+        ]
+
+    def arrivals(self, seconds: float) -> Iterator[None]:
+        """Yield whenever sheep come, and when the time is over."""
+        return self._sheep.arrivals(seconds)
+
+    def forget(self) -> None:
+        """Know nothing."""
+        self._flock = None
+        self._places.clear()
+
+    def take(self, now: int | None = None) -> None:
+        """Take the messages that have come in; stamps are checked if it is `now` [ns]."""
+        for data, _ in self._sheep.take():
+            try:
+                flock = messages.sheep_in(data, self._frame, self._most_sheep)
+                self._check_stamp(flock.ns, now)
+                self._flock = flock
+            except ValueError as error:
+                self._refused.add('sheep', error)
+        for m, inbox in enumerate(self._odometry):
+            for data, _ in inbox.take():
+                try:
+                    ns, place, heading = messages.dog_in(data, self._frame)
+                    self._check_stamp(ns, now)
+                    self._places[m] = ns, place
+                    self.headings[m] = heading
+                except ValueError as error:
+                    self._refused.add(f'dog_{m + 1}/odom', error)
+
+    def _check_stamp(self, ns: int, now: int | None) -> None:
+        if now is not None:
+            messages.check_stamp(ns, now, self._timeout, self._timeout)
+
+    def answerable(self) -> Observed | None:
+        """Return the herd when all messages have the same stamp, and each stamp only once."""
+        stamps = {ns for ns, _ in self._places.values()}
+        if self._flock is None or stamps != {self._flock.ns}:
+            return None
+        if len(self._places) < len(self._odometry):
+            return None
+        observed = self._observed(self._flock, tuple(range(len(self._odometry))))
+        self.forget()
+        return observed
+
+    def in_sight(self, now: int) -> Observed | None:
+        """Return what has been seen lately; None without sheep or without any dog."""
+        oldest = now - self._timeout * 1e9
+        dogs = tuple(m for m, (ns, _) in sorted(self._places.items()) if ns >= oldest)
+        if self._flock is None or self._flock.ns < oldest or not dogs:
+            return None
+        return self._observed(self._flock, dogs)
+
+    def _observed(self, flock: messages.Sheep, dogs: tuple[int, ...]) -> Observed:
+        places = [self._places[m] for m in dogs]
+        state = HerdState(flock.x, flock.v, np.array([place for _, place in places]))
+        oldest = min(flock.ns, *(ns for ns, _ in places))
+        return Observed(oldest, flock.ns, flock.ids, state, dogs)

@@ -1,0 +1,72 @@
+"""Two sims, or two controllers, by mistake: all but one end and say why.
+
+Each kind of node has a topic that no other kind publishes. Who finds a publisher of it does not
+become active. Two that begin at the same instant do not find each other, so they go on looking.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+
+from rclpy.clock import Clock, ClockType
+from rclpy.publisher import Publisher
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from .parameters import HerdingNode
+from .running import CannotGoOnError
+
+DISCOVERY = 1.0
+"""Time in which a node finds those that were there before, whatever else the machine does [s]."""
+
+PATIENCE = 3.0
+"""Time in which another node that is about to end is gone [s]."""
+
+LOOK_PERIOD = 0.5
+"""Time between two looks for rivals of an active node [s]."""
+
+_ADVICE = 'end it, or give this one a namespace or another ROS_DOMAIN_ID'
+
+
+def sole_publisher(node: HerdingNode, topic: str, create: Callable[[], Publisher]) -> Publisher:
+    """Return create(), a publisher of the topic, and see to it that it is the only one.
+
+    Raises ValueError if another one publishes the topic and goes on doing so. If one appears
+    later, the executor raises CannotGoOnError in one of the two nodes.
+    """
+    full_name = node.resolve_topic_name(topic)
+    _wait_until_nobody_publishes(node, full_name)
+    publisher = create()
+    found = node.get_publishers_info_by_topic(full_name)
+    if len(found) != 1:  # somebody else did it at the same instant: which one is mine?
+        node.destroy_publisher(publisher)
+        return sole_publisher(node, topic, create)
+
+    def look() -> None:
+        for other in node.get_publishers_info_by_topic(full_name):
+            if other.endpoint_gid < found[0].endpoint_gid:
+                raise CannotGoOnError(f'{_name(other)} publishes {full_name} as well; {_ADVICE}')
+
+    node.create_timer(LOOK_PERIOD, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    return publisher
+
+
+def _wait_until_nobody_publishes(node: HerdingNode, topic: str) -> None:
+    end = time.monotonic() + PATIENCE
+    told = False
+    while True:
+        others = node.get_publishers_info_by_topic(topic)
+        now = time.monotonic()
+        if not others and now > node.joined + DISCOVERY:
+            return
+        if others and now > end:
+            raise ValueError(f'{_name(others[0])} publishes {topic} already; {_ADVICE}')
+        if others and not told:
+            name = _name(others[0])
+            node.get_logger().info(f'waiting for {name} to go, which publishes {topic}')
+            told = True
+        time.sleep(0.02)
+
+
+def _name(info: TopicEndpointInfo) -> str:
+    return f'node {info.node_namespace.rstrip("/")}/{info.node_name}'

@@ -1,0 +1,36 @@
+"""A node of ours that does not see its rivals until it is active itself.
+
+As if both had begun at the same instant. Run as a program with the name of the node before the
+ROS arguments.
+"""
+
+from importlib import import_module
+import sys
+from typing import Any
+
+from herding_ros.nodes import rivals
+from herding_ros.nodes.parameters import HerdingNode
+
+find = HerdingNode.get_publishers_info_by_topic
+unseen: set[tuple[int, ...]] = set()
+looking = True
+
+
+def blind_wait(node: HerdingNode, topic: str) -> None:
+    unseen.update(tuple(info.endpoint_gid) for info in find(node, topic))
+
+
+def blind_find(node: HerdingNode, topic: str, *args: Any) -> list[Any]:
+    """Hide others until the node has found its own publisher."""
+    global looking
+    found = find(node, topic, *args)
+    if looking and unseen:
+        looking = False
+        return [info for info in found if tuple(info.endpoint_gid) not in unseen]
+    return found
+
+
+if __name__ == '__main__':
+    rivals._wait_until_nobody_publishes = blind_wait
+    HerdingNode.get_publishers_info_by_topic = blind_find  # type: ignore[method-assign]
+    sys.exit(import_module(f'herding_ros.nodes.{sys.argv[1]}').main(sys.argv[2:]))

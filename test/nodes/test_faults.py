@@ -1,0 +1,284 @@
+"""What goes wrong on a robot's worst day, with our sim and our controller as processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+from pathlib import Path
+import random
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from herding_ros.nodes import messages
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+FACTOR = 5.0
+DOGS = 3
+SIM = {'sheep': 8, 'dogs': DOGS, 'real_time_factor': FACTOR, 'stop_on_arrival': True}
+CONTROLLER = {'dogs': DOGS, 'use_sim_time': True, 'lead': 4.0, 'mapping__paths': 20}
+
+
+def seconds(message: Any) -> float:
+    return messages.nanoseconds(message.header.stamp) * 1e-9
+
+
+class Meadow:
+    """Watches what a sim and a controller do."""
+
+    def __init__(self, peer: Any, dogs: int = DOGS) -> None:
+        self.peer = peer
+        self.diagnostics = peer.listen(DiagnosticArray, '/diagnostics')
+        self.plans = peer.listen(MultiDOFJointTrajectory, 'plan', LATCHED)
+        self.truth = [peer.listen(Odometry, f'truth/dog_{m + 1}/odom') for m in range(dogs)]
+        self.clock = peer.listen(Clock, '/clock')
+
+    def said(self, name: str) -> dict[str, str]:
+        """The newest status of this name; its summary is under ''."""
+        for message in reversed(self.diagnostics):
+            for status in message.status:
+                if status.name == name:
+                    return {'': status.message, **{p.key: p.value for p in status.values}}
+        return {}
+
+    def now(self) -> float:
+        return messages.nanoseconds(self.clock[-1].clock) * 1e-9 if self.clock else -math.inf
+
+    def speed(self) -> float:
+        """Largest speed of a dog in its newest odometry."""
+        twists = [heard[-1].twist.twist.linear for heard in self.truth]
+        return max(math.hypot(v.x, v.y) for v in twists)
+
+    def dogs_run(self) -> bool:
+        return all(self.truth) and self.speed() > 0.01
+
+    def dogs_stand(self) -> bool:
+        return all(self.truth) and self.speed() == 0.0
+
+    def arrived(self) -> bool:
+        return self.said('sim: herd').get('arrived') == 'True'
+
+    def run_until(self, condition: Callable[[], object], limit: float = 60.0) -> None:
+        self.peer.spin_until(condition, limit)
+
+
+def first_standstill(odometry: list[Odometry], after: float) -> float:
+    """Time of the first message after `after` [s] in which the dog stands and stays so."""
+    later = [message for message in odometry if seconds(message) > after]
+    moving = [seconds(m) for m in later if math.hypot(
+        m.twist.twist.linear.x, m.twist.twist.linear.y) > 0.0]  # fmt: skip
+    return max(moving, default=after)
+
+
+def test_killed_controller_stops_the_dogs_and_a_new_one_brings_them_home(
+    start: Callable[..., Any], peer: Any
+) -> None:
+    start('sim', command_timeout=0.5, **SIM)
+    first = start('controller', **CONTROLLER)
+    meadow = Meadow(peer)
+    meadow.run_until(meadow.dogs_run)
+    first.process.kill()
+    first.process.wait()
+    killed = meadow.now()
+    meadow.run_until(meadow.dogs_stand)
+    # The last command may have been on its way, for at most one tick of the sim.
+    for heard in meadow.truth:
+        assert first_standstill(heard, killed) - killed <= 0.5 + 0.2
+    stood = meadow.now()
+    meadow.plans.clear()
+    start('controller', **CONTROLLER)
+    meadow.run_until(lambda: meadow.plans)
+    assert seconds(meadow.plans[0]) >= stood
+    meadow.run_until(meadow.arrived)
+
+
+@pytest.mark.parametrize('how', ['reset', 'restart'])
+def test_time_set_back_starts_anew(how: str, start: Callable[..., Any], peer: Any) -> None:
+    """After a reset of the sim, or with a new one in its place, the old plan is dropped."""
+    sim = start('sim', **SIM)
+    start('controller', **CONTROLLER)
+    meadow = Meadow(peer)
+    meadow.run_until(lambda: len(meadow.plans) == 2 and meadow.now() > seconds(meadow.plans[1]))
+    before = meadow.now()
+    if how == 'reset':
+        assert peer.call(Trigger, 'sim/reset', Trigger.Request()).success
+    else:
+        sim.process.kill()
+        sim.process.wait()
+        start('sim', **SIM)
+    meadow.run_until(lambda: seconds(meadow.plans[-1]) < seconds(meadow.plans[1]))
+    assert seconds(meadow.plans[-1]) <= meadow.now() + CONTROLLER['lead'] + 0.2
+    meadow.run_until(lambda: meadow.now() < before and meadow.dogs_run())
+    meadow.run_until(meadow.arrived)
+    assert meadow.said('controller: state')['plans_failed'] == '0'
+
+
+def test_paused_sim_goes_on_where_it_was(start: Callable[..., Any], peer: Any) -> None:
+    start('sim', **SIM)
+    start('controller', **CONTROLLER)
+    meadow = Meadow(peer)
+    meadow.run_until(meadow.dogs_run)
+    assert peer.call(SetBool, 'sim/pause', SetBool.Request(data=True)).success
+    meadow.run_until(lambda: meadow.said('sim: herd').get('') == 'paused')
+    peer.spin_for(0.2)
+    paused, plans = meadow.now(), len(meadow.plans)
+    peer.spin_for(3.0)  # more than all timeouts
+    assert meadow.now() == paused
+    assert len(meadow.plans) <= plans + 1  # the one that was being made
+    assert peer.call(SetBool, 'sim/pause', SetBool.Request(data=False)).success
+    meadow.run_until(lambda: meadow.now() > paused and meadow.dogs_run())
+    meadow.run_until(meadow.arrived)
+    assert meadow.said('controller: state')['deadlines_missed'] == '0'
+
+
+class Relay:
+    """Passes on what it hears on a topic to another, unless `lose` says otherwise."""
+
+    def __init__(
+        self, peer: Any, kind: Any, source: str, target: str, lose: Callable[[], bool]
+    ) -> None:
+        self.passed = self.lost = 0
+        publisher = peer.node.create_publisher(kind, target, 1000)
+
+        def pass_on(data: bytes) -> None:
+            if lose():
+                self.lost += 1
+            else:
+                self.passed += 1
+                publisher.publish(data)
+
+        peer.node.create_subscription(kind, source, pass_on, 1000, raw=True)
+
+
+def test_lost_messages_do_not_keep_the_flock_from_home(
+    start: Callable[..., Any], peer: Any
+) -> None:
+    """A fifth of all observations of the sheep and of all commands is lost."""
+    generator = random.Random(1)
+
+    def unlucky() -> bool:
+        return generator.random() < 0.2
+
+    relays = [Relay(peer, PointCloud2, 'sheep', 'lossy/sheep', unlucky)]
+    renamed = ['--ros-args']
+    for m in range(1, DOGS + 1):
+        relays.append(
+            Relay(peer, TwistStamped, f'lossy/dog_{m}/cmd_vel', f'dog_{m}/cmd_vel', unlucky)
+        )
+        renamed += ['-r', f'dog_{m}/cmd_vel:=lossy/dog_{m}/cmd_vel']
+    start('sim', **SIM)
+    start('controller', *renamed, '-r', 'sheep:=lossy/sheep', **CONTROLLER)
+    meadow = Meadow(peer)
+    meadow.run_until(meadow.arrived)
+    for relay in relays:
+        assert 0.1 < relay.lost / (relay.lost + relay.passed) < 0.3
+
+
+@pytest.mark.parametrize('does', ['stands', 'runs off'])
+def test_dog_that_does_not_obey_leaves_it_to_the_others(
+    does: str, start: Callable[..., Any], peer: Any
+) -> None:
+    dogs = 4
+    start('sim', **{**SIM, 'dogs': dogs}, time_limit=400.0)
+    own_will = peer.node.create_publisher(TwistStamped, 'dog_2/cmd_vel', 10)
+    meadow = Meadow(peer, dogs)
+
+    def follow_own_will() -> None:
+        if not meadow.clock:
+            return
+        away = messages.command(np.array([-0.05, 0.0]), 0.0, 2, round(meadow.now() * 1e9))
+        own_will.publish(away)
+
+    if does == 'runs off':
+        peer.node.create_timer(0.02, follow_own_will)
+    start(
+        'controller', '--ros-args', '-r', 'dog_2/cmd_vel:=nowhere', **{**CONTROLLER, 'dogs': dogs}
+    )
+    meadow.run_until(lambda: meadow.said('sim: herd').get('finished') == 'True')
+    assert meadow.arrived()
+
+
+class Commands:
+    """What the dogs were told, and by which plan."""
+
+    def __init__(self, peer: Any, meadow: Meadow) -> None:
+        self.heard = [peer.listen(TwistStamped, f'dog_{m + 1}/cmd_vel') for m in range(DOGS)]
+        self.meadow = meadow
+
+    def at(self) -> list[tuple[float, np.ndarray]]:
+        """Times [s] and velocities (M, 2) [m/s], as far as all dogs were told."""
+        told = [{seconds(c): (c.twist.linear.x, c.twist.linear.y) for c in heard}
+                for heard in self.heard]  # fmt: skip
+        times = sorted(set(told[0]).intersection(*told[1:]))
+        return [(t, np.array([each[t] for each in told])) for t in times]
+
+    def planned(self, t: float, plans: list[Any]) -> np.ndarray:
+        """What the newest of the plans that have begun says for t; zero after its end."""
+        plan = max((p for p in plans if seconds(p) <= t + 1e-6), key=seconds)
+        k = math.floor((t - seconds(plan) + 1e-6) / 0.1)
+        if k >= len(plan.points):
+            return np.zeros((DOGS, 2))
+        return np.array([(v.linear.x, v.linear.y) for v in plan.points[k].velocities])
+
+
+def test_each_plan_begins_exactly_at_its_window(start: Callable[..., Any], peer: Any) -> None:
+    meadow = Meadow(peer)
+    commands = Commands(peer, meadow)
+    start('sim', **{**SIM, 'real_time_factor': 10.0, 'stop_on_arrival': False})
+    start('controller', **{**CONTROLLER, 'lead': 5.0})
+    meadow.run_until(lambda: meadow.now() > 60.0)
+    begins = [seconds(plan) for plan in meadow.plans]
+    assert len(begins) >= 5
+    assert np.diff(begins) == pytest.approx(10.0, abs=1e-6)
+    told = commands.at()
+    assert len(told) > 300
+    for t, u in told:
+        assert np.array_equal(u, commands.planned(t, meadow.plans))
+    state = meadow.said('controller: state')
+    assert state['deadlines_missed'] == state['plans_failed'] == '0'
+
+
+def test_slow_solver_falls_back_and_recovers(
+    start: Callable[..., Any], peer: Any, tmp_path: Path
+) -> None:
+    """A late plan leaves the second half of the old one, then the dogs stand; then it goes on."""
+    slow = tmp_path / 'slow'
+    meadow = Meadow(peer)
+    commands = Commands(peer, meadow)
+    start('sim', **SIM)
+    program = Path(__file__).with_name('slow_controller.py')
+    # Three times the lead is more than what is left of the old plan, 4 s + 5 s.
+    short = {'horizon__length': 10.0, 'horizon__accepted': 5.0}
+    start('controller', str(slow), program=program, **CONTROLLER, **short)
+    meadow.run_until(lambda: meadow.plans and meadow.now() > seconds(meadow.plans[0]))
+    slow.touch()
+    doings = []
+
+    def doing() -> str:
+        doings.append(meadow.said('controller: state').get('', ''))
+        return doings[-1]
+
+    meadow.run_until(lambda: 'second half' in doing())
+    meadow.run_until(lambda: 'the plan is over' in doing())
+    meadow.run_until(meadow.dogs_stand)
+    stood = meadow.now()
+    first = meadow.plans[0]
+    assert stood >= seconds(first) + 10.0
+    told = [(t, u) for t, u in commands.at() if seconds(first) <= t <= stood]
+    assert len(told) > 80
+    for t, u in told:
+        assert np.array_equal(u, commands.planned(t, [first]))
+    assert int(meadow.said('controller: state')['deadlines_missed']) >= 1
+    slow.unlink()
+    meadow.run_until(lambda: len(meadow.plans) > 1)
+    meadow.run_until(lambda: 'playing a plan' in doing())
+    meadow.run_until(meadow.arrived)

@@ -1,0 +1,116 @@
+"""Two sims or two controllers on one domain, by mistake: one of them goes and says why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import time
+from typing import Any
+
+import pytest
+
+BLIND = Path(__file__).with_name('blind.py')
+SMALL: dict[str, dict[str, Any]] = {'sim': {'sheep': 3, 'dogs': 1}, 'controller': {'dogs': 1}}
+SOLE_TOPIC = {'sim': 'truth/sheep', 'controller': 'plan'}
+MOVES = {'sim': 'sheep', 'controller': 'dog_1/cmd_vel'}
+
+both_nodes = pytest.mark.parametrize('name', ['sim', 'controller'])
+any_start = pytest.mark.parametrize(
+    'how',
+    [{}, {'lockstep': True}, {'wait_for': 'recorder'}],
+    ids=['plain', 'lockstep', 'wait_for'],
+)
+
+
+def is_active(peer: Any, name: str, namespace: str = '') -> Callable[[], object]:
+    return lambda: peer.node.count_publishers(f'{namespace}/{SOLE_TOPIC[name]}')
+
+
+@any_start
+@both_nodes
+def test_second_one_is_refused(
+    start: Callable[..., Any], peer: Any, name: str, how: dict[str, Any]
+) -> None:
+    first = start(name, **SMALL[name], **how)
+    peer.spin_until(is_active(peer, name))
+    second = start(name, **SMALL[name], **how)
+    while second.process.poll() is None:
+        peer.spin_for(0.02)
+        assert peer.node.count_publishers(MOVES[name]) == 1
+    assert second.wait() == 2
+    assert (
+        f'cannot start: node /{name} publishes /{SOLE_TOPIC[name]} already; end it, or give this '
+        'one a namespace or another ROS_DOMAIN_ID'
+    ) in second.log
+    assert 'Traceback' not in second.log
+    assert first.process.poll() is None
+
+
+@both_nodes
+def test_another_namespace_is_another_place(
+    start: Callable[..., Any], peer: Any, name: str
+) -> None:
+    nodes = []
+    for namespace in ('/east', '/west'):
+        remapping = ['--ros-args', '-r', f'__ns:={namespace}']
+        nodes.append(start(name, *remapping, **SMALL[name]))
+        peer.spin_until(is_active(peer, name, namespace))
+    peer.spin_for(2.0)
+    assert [node.process.poll() for node in nodes] == [None, None]
+
+
+@pytest.mark.parametrize('blind_first', [True, False])
+@both_nodes
+def test_of_two_active_ones_one_goes(
+    start: Callable[..., Any], peer: Any, name: str, blind_first: bool
+) -> None:
+    """Twice, since chance decides which one."""
+    one = start(name, **SMALL[name])
+    peer.spin_until(is_active(peer, name))
+    other = start(name, name, program=BLIND, **SMALL[name])
+    peer.spin_until(lambda: peer.node.count_publishers(SOLE_TOPIC[name]) == 2)
+    peer.spin_until(lambda: not (one.process.poll() is None is other.process.poll()), 5.0)
+    gone, left = (one, other) if one.process.poll() is not None else (other, one)
+    assert gone.wait() == 2
+    assert f'ending: node /{name} publishes /{SOLE_TOPIC[name]} as well' in gone.log
+    assert 'Traceback' not in gone.log
+    peer.spin_for(2.0)
+    assert left.process.poll() is None
+    assert peer.node.count_publishers(MOVES[name]) == 1
+
+
+@both_nodes
+def test_of_two_that_start_together_one_remains(
+    start: Callable[..., Any], peer: Any, name: str
+) -> None:
+    nodes = [start(name, **SMALL[name]) for _ in range(2)]
+    peer.spin_until(lambda: [node.process.poll() for node in nodes].count(None) == 1)
+    left, gone = sorted(nodes, key=lambda node: node.process.poll() is not None)
+    assert gone.wait() == 2, gone.log
+    peer.spin_until(is_active(peer, name))
+    peer.spin_for(2.0)
+    assert left.process.poll() is None, left.log
+
+
+@both_nodes
+def test_killed_one_is_replaced_at_once(start: Callable[..., Any], peer: Any, name: str) -> None:
+    first = start(name, **SMALL[name])
+    peer.spin_until(is_active(peer, name))
+    first.process.kill()
+    first.process.wait()
+    begun = time.monotonic()
+    second = start(name, **SMALL[name])
+    ready = {'sim': 'herding', 'controller': 'ready to herd'}[name]
+    second.wait_for(ready)
+    print(f'ready {time.monotonic() - begun:.1f} s after it was started')
+    assert 'waiting' not in second.log
+
+
+@both_nodes
+def test_one_that_is_ending_is_waited_for(start: Callable[..., Any], peer: Any, name: str) -> None:
+    first = start(name, **SMALL[name])
+    peer.spin_until(is_active(peer, name))
+    second = start(name, **SMALL[name])
+    second.wait_for(f'waiting for node /{name} to go')
+    assert first.end() == 0
+    second.wait_for({'sim': 'herding', 'controller': 'ready to herd'}[name])

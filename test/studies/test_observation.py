@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from herding_ros.control.closed_loop import closed_loop, Planner
+from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
+from herding_ros.model.parameters import Crowd
+from herding_ros.model.simulation import Simulation, World
+from herding_ros.studies import observation
+from herding_ros.studies.experiments import EXPERIMENTS
+from herding_ros.studies.experiments.observation import Watched
+from herding_ros.studies.experiments.settings import differences
+from herding_ros.studies.study import Options, Results
+
+GOAL = np.array([0.5, 0.5])
+SMALL = Control(horizon=Horizon(length=8.0, accepted=4.0), mapping=Mapping(paths=20))
+
+
+def run(noise: float, control: Control = SMALL, **changes: Any) -> dict[str, Any]:
+    given = {
+        'sheep': 9,
+        'dogs': 3,
+        'sigma': 0.01,
+        'goal': [0.5, 0.5],
+        'noise': noise,
+        'seed': 1,
+        'time_limit': 8.0,
+        'settings': differences(control, Control()),
+    }
+    return EXPERIMENTS['observation'](**(given | changes))
+
+
+def filtered(noise: float) -> Control:
+    return Control(horizon=SMALL.horizon, mapping=SMALL.mapping, sensor=Sensor(noise, noise))
+
+
+def test_a_run_is_that_of_the_closed_loop() -> None:
+    found = run(0.05, filtered(0.05), time_limit=60.0)
+    world = World(sheep=9, dogs=3, seed=1, position_noise=0.05, velocity_noise=0.05)
+    track = closed_loop(Crowd(), world, filtered(0.05), GOAL, 60.0)
+    assert found['arrived'] == track.arrived
+    assert found['duration'] == pytest.approx(track.t[-1])
+    np.testing.assert_allclose(found['paths']['last'], track.x[-1], atol=5e-5)
+    offset = track.x[-1] - track.x[-1].mean(axis=0)
+    assert found['final_spread'] == pytest.approx(math.sqrt(np.square(offset).sum() / 9))
+
+
+def test_errors_are_those_of_what_is_seen_and_of_what_is_believed() -> None:
+    exact, raw, better = (
+        run(0.0)['errors'],
+        run(0.05)['errors'],
+        run(0.05, filtered(0.05))['errors'],
+    )
+    for quantity in ('position', 'velocity', 'dog'):
+        # Sheep are seen in single precision.
+        assert exact['seen'][quantity] == exact['believed'][quantity] < 1e-7
+        assert raw['seen'][quantity] == raw['believed'][quantity]
+        assert raw['seen'][quantity] == pytest.approx(0.05, rel=0.1)
+        assert better['seen'][quantity] == pytest.approx(0.05, rel=0.1)
+        assert better['believed'][quantity] < 0.6 * better['seen'][quantity]
+
+
+def test_errors_are_measured_against_the_state_at_that_instant() -> None:
+    simulation = Simulation(Crowd(), World(sheep=4, dogs=2, seed=3), GOAL)
+    watched = Watched(Planner(Crowd(), SMALL, GOAL, 0), simulation)
+    assert set(watched.errors()['seen'].values()) == {0.0}
+    squares = []
+    for k in range(3):
+        seen = simulation.observe().state
+        squares.append(np.square(seen.x - simulation.state.x).mean())
+        simulation.advance(watched(seen, 0.1 * k))
+    assert watched.errors()['seen']['position'] == pytest.approx(math.sqrt(np.mean(squares)))
+
+
+def results_of(
+    tmp_path: Path, times: dict[tuple[int, float, float], list[float | None]]
+) -> Results:
+    """Return made-up results of the study by dogs, noise and expected noise; None: no arrival."""
+    entries = []
+    for task in observation.tasks(Options()):
+        given = task.parameters
+        expected = given['settings'].get('sensor', {}).get('position_noise', 0.0)
+        wanted = times.get((given['dogs'], given['noise'], expected))
+        if wanted is None or given['seed'] >= len(wanted):
+            continue
+        time = wanted[given['seed']]
+        errors = {'position': 0.3 * expected, 'velocity': 0.2 * expected, 'dog': 0.25 * expected}
+        seen = dict.fromkeys(errors, given['noise'])
+        result = {
+            'arrived': time is not None, 'time': time, 'duration': time or 400.0,
+            'max_spread': 0.3, 'closest': 0.04, 'final_distance': 0.04, 'final_spread': 0.25,
+            'dogs_run': 2.0, 'energy': 0.1, 'errors': {'seen': seen, 'believed': errors},
+            'paths': {'dogs': [[[0, 0]] * given['dogs']]},
+        }  # fmt: skip
+        entries.append((task, json.loads(json.dumps(result))))
+    return Results(entries)
+
+
+def test_page_tells_what_the_results_say(tmp_path: Path) -> None:
+    exact = [50.0 + k for k in range(20)]
+    found = results_of(
+        tmp_path,
+        {
+            (2, 0.0, 0.0): list(exact),
+            (2, 0.05, 0.0): [None, None, *(2.0 * time for time in exact[2:])],
+            (2, 0.05, 0.05): [1.05 * time for time in exact],
+            (2, 0.05, 0.1): [1.2 * time for time in exact],
+        },
+    )
+    section = observation.draw(found, tmp_path)
+    paired = section.values['paired'].splitlines()[-1]
+    assert paired == '| 2 | 0.05 | +100 ± 0 (18) | +5 ± 0 (20) |'
+    assert '| 2 | 0.05 | 0.0500 | 0.0150 | 0.0500 | 0.0100 |' in section.values['errors']
+    assert '| 2 | 0.1 | 20 of 20' in section.values['misjudged']
+    assert section.values['failures'].count('| 0.05 | 0 | 2 |') == 2
+    reached = [goal.reached for goal in section.goals]
+    assert reached == [True, True, None, None]  # nothing is known of five dogs
+    (row,) = [row for row in section.rows if row.ours.startswith('62')]
+    assert '18 of 20' in row.remark
+
+
+def test_goals_can_be_missed(tmp_path: Path) -> None:
+    exact = [50.0 + k for k in range(20)]
+    slow: list[float | None] = [None, *(1.2 * time for time in exact[1:])]
+    found = results_of(tmp_path, {(5, 0.0, 0.0): list(exact), (5, 0.05, 0.05): slow})
+    goals = observation.draw(found, tmp_path).goals
+    assert [goal.reached for goal in goals] == [None, None, False, False]
+
+
+def test_the_same_flocks_with_and_without_filter() -> None:
+    seeds: dict[str, list[int]] = {}
+    for task in observation.tasks(Options(seeds=3)):
+        rest = {key: value for key, value in task.parameters.items() if key != 'seed'}
+        seeds.setdefault(json.dumps(rest), []).append(task.parameters['seed'])
+    assert all(each == [0, 1, 2] for each in seeds.values())
+    assert len(seeds) == 2 * (1 + 2 * 3 + 2)
