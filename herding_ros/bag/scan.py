@@ -16,7 +16,6 @@ import zlib
 
 import lz4.frame  # type: ignore[import-untyped]
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -166,7 +165,7 @@ def _record(stream: BinaryIO, position: int, size: int) -> tuple[McapRecord | No
         raise _BrokenError(f'a record has {length} bytes, allowed are {MOST_BYTES}')
     try:
         return _parsed(kind, stream.read(length)), end
-    except (EndOfFile, UnicodeDecodeError, ValueError, struct.error) as error:
+    except ValueError as error:
         # Is it the content or the length that is wrong? If the next record follows, the former.
         known = end if _is_head(stream, end, size) else 0
         raise _BrokenError(
@@ -175,8 +174,8 @@ def _record(stream: BinaryIO, position: int, size: int) -> tuple[McapRecord | No
 
 
 def _parsed(kind: int, content: bytes) -> McapRecord:
-    """Return a record by its content; raises ValueError and what mcap raises."""
-    fields = _Fields(BytesIO(content))
+    """Return a record by its content; raises ValueError."""
+    fields = _Fields(content)
     if kind == Opcode.MESSAGE:
         if len(content) < 22:
             raise ValueError(f'it has {len(content)} bytes, fewer than 22')
@@ -190,11 +189,15 @@ def _parsed(kind: int, content: bytes) -> McapRecord:
 class _Fields(ReadDataStream):
     """Gives all bytes that are asked for, or none."""
 
+    def __init__(self, content: bytes) -> None:
+        super().__init__(BytesIO(content))
+        self._size = len(content)
+
     def read(self, length: int) -> bytes:
-        data = super().read(length)
-        if len(data) != length:
-            raise ValueError(f'a field of {length} bytes has {len(data)}')
-        return data
+        left = self._size - self.count
+        if length > left:
+            raise ValueError(f'a field has {length} bytes, of which {left} are there')
+        return super().read(length)
 
 
 def _decompressed(chunk: Chunk) -> Chunk:

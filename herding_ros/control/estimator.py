@@ -1,9 +1,9 @@
 """What the controller believes of the herd: a Kalman filter on noisy observations.
 
 Between two observations everybody is carried forward by the coarse model, with the velocities
-that the dogs were told; then each is corrected by what was seen. The position and velocity of a
-sheep, and in the same way x and y, are taken for a linear system of its own, with the model's
-friction and random force. How sheep push each other changes the prediction, not its uncertainty.
+that the dogs were told; then each is corrected by what was seen. For the uncertainty, each sheep
+and each coordinate is a linear system of its own, of position and velocity, with the model's
+friction and random force. How sheep push each other changes the prediction alone.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ A filter that expects none stops looking.
 _SLIP = 0.01
 """After t seconds a dog is this times sqrt(t) from where its commands lead [m/s^0.5]."""
 
-_SURPRISE = 6.0
-"""Who is seen this many standard deviations from where it should be is not the one we knew."""
+_FAR = 6.0
+"""Standard deviations between what is seen and what is expected that noise does not explain."""
 
 _LONGEST_GAP = 20
 """Control periods between two observations after which the past is forgotten."""
@@ -38,19 +38,57 @@ _Names = NDArray[np.integer]
 
 
 @dataclass(frozen=True)
-class _Belief:
-    """The herd at t [s], and how well it is known.
+class _Tracks:
+    """What is believed of n sheep, with k = 2 quantities, or of n dogs, with k = 1.
 
-    ids (N,), dogs (M,): names of the rows of the state; covariance: (N, 2, 2) of the errors of
-    position and velocity of a sheep, in each coordinate; variance: (M,) of dogs' positions [m^2].
+    names (n,); mean (n, k, 2): position [m] and, of sheep, velocity [m/s]; covariance (n, k, k):
+    of their errors, the same in both coordinates; doubted (n,): whether the last observation
+    stands alone, so that another one far from it is believed.
     """
 
-    t: float
-    ids: _Names
-    dogs: _Names
-    state: HerdState
+    names: _Names
+    mean: Array
     covariance: Array
-    variance: Array
+    doubted: NDArray[np.bool_]
+
+    @classmethod
+    def new(cls, names: _Names, mean: Array, variances: list[float]) -> _Tracks:
+        """Begin with one observation, whose k quantities have these variances."""
+        covariance = np.tile(np.diag(variances), (len(names), 1, 1))
+        return cls(names, mean, covariance, np.full(len(names), True))
+
+    def corrected(self, new: _Tracks, observed: Array, variances: list[float]) -> _Tracks:
+        """Return the new tracks, those that continue one of these corrected by what is observed.
+
+        observed: (n, k, 2), in the order of the new tracks.
+        """
+        _, here, there = np.intersect1d(new.names, self.names, return_indices=True)
+        error = observed[here] - self.mean[there]
+        uncertainty = self.covariance[there] + np.diag(variances)
+        near = np.square(error[:, 0]).sum(axis=1) <= _FAR**2 * uncertainty[:, 0, 0]
+        # Far off for once, an observation is taken for a mistake. The second time it is believed.
+        known = near | ~self.doubted[there]
+        here, there, near = here[known], there[known], near[known]
+        before = self.covariance[there]
+        gain = near[:, None, None] * (before @ np.linalg.inv(uncertainty[known]))
+        mean, covariance, doubted = new.mean.copy(), new.covariance.copy(), new.doubted.copy()
+        mean[here] = self.mean[there] + gain @ error[known]
+        covariance[here] = before - gain @ before
+        doubted[here] = ~near
+        return _Tracks(new.names, mean, covariance, doubted)
+
+
+@dataclass(frozen=True)
+class _Belief:
+    """The herd at t [s]."""
+
+    t: float
+    sheep: _Tracks
+    dogs: _Tracks
+
+    @property
+    def state(self) -> HerdState:
+        return HerdState(self.sheep.mean[:, 0], self.sheep.mean[:, 1], self.dogs.mean[:, 0])
 
 
 @dataclass
@@ -68,7 +106,7 @@ class Estimator:
     _belief: _Belief | None = field(default=None, init=False)
 
     def reset(self) -> None:
-        """Forget everything: the next observation is believed."""
+        """Forget everything: the next observation is the first."""
         self._belief = None
 
     def update(
@@ -81,21 +119,24 @@ class Estimator:
     ) -> HerdState:
         """Return the most likely state at t [s], with the rows of the observation.
 
-        ids: (N,) names of the observed sheep; dogs: indices of the observed dogs in u, by default
-        all; u: (all dogs, 2) velocities that dogs were told since the last update [m/s]. Sheep
-        and dogs come and go: who is new is believed to be where it is seen. When t is not later
-        than at the last update, or much later, everybody is new. A sensor without noise is
-        believed to the bit. Raises ValueError when names, rows and velocities do not fit.
+        ids: (N,) names of the observed sheep; u: (all dogs, 2) velocities that dogs were told
+        since the last update [m/s]; dogs: indices in u of those that are observed, by default
+        all. Sheep and dogs come and go: who is new is believed to be where it is seen. When t is
+        not later than at the last update, or much later, everybody is new. Where a sheep or dog
+        suddenly is far from expected, the first such observation counts as none. A sensor
+        without noise is believed to the bit.
+
+        Raises ValueError when names, rows and velocities do not fit.
         """
         u = finite('dog velocities u', u, (None, 2))
         names = np.arange(len(u)) if dogs is None else np.asarray(dogs)
-        _check(np.asarray(ids), observed.x, 'sheep')
-        _check(names, observed.d, 'dogs')
+        _check_names(np.asarray(ids), observed.x, 'sheep')
+        _check_names(names, observed.d, 'dogs')
         if names.min() < 0 or names.max() >= len(u):
             raise ValueError(f'dogs are {names.tolist()}, allowed is 0 to {len(u) - 1}, rows of u')
         if self.sensor == Sensor():
             return observed
-        new = self._believed(t, np.asarray(ids), names, observed)
+        new = self._first(t, np.asarray(ids), names, observed)
         if self._belief is not None:
             elapsed = t - self._belief.t
             if 0.0 < elapsed <= _LONGEST_GAP * self.control_period:
@@ -104,17 +145,26 @@ class Estimator:
         return new.state
 
     @property
-    def _noise(self) -> float:
+    def _force(self) -> float:
+        """Strength of the random force that is expected on sheep [m/s^1.5]."""
         return max(self.crowd.noise, _LEAST_NOISE)
 
-    def _believed(self, t: float, ids: _Names, dogs: _Names, observed: HerdState) -> _Belief:
+    @property
+    def _variances(self) -> tuple[float, float]:
+        """Of observed positions [m^2] and velocities [m^2/s^2]."""
+        return self.sensor.position_noise**2, self.sensor.velocity_noise**2
+
+    def _first(self, t: float, ids: _Names, dogs: _Names, observed: HerdState) -> _Belief:
         """Return what is known from one observation: sheep seldom run faster than at random."""
-        position, velocity = self.sensor.position_noise**2, self.sensor.velocity_noise**2
-        # Random force and friction alone: variance sigma^2 / (2 alpha) of a velocity.
-        share = self._noise**2 / (self._noise**2 + 2.0 * self.crowd.friction * velocity)
-        covariance = np.tile(np.diag([position, share * velocity]), (len(ids), 1, 1))
-        state = HerdState(observed.x, share * observed.v, observed.d)
-        return _Belief(t, ids, dogs, state, covariance, np.full(len(dogs), position))
+        position, velocity = self._variances
+        # Friction and random force alone give velocities the variance sigma^2 / (2 alpha).
+        share = self._force**2 / (self._force**2 + 2.0 * self.crowd.friction * velocity)
+        sheep = np.stack([observed.x, share * observed.v], axis=1)
+        return _Belief(
+            t,
+            _Tracks.new(ids, sheep, [position, share * velocity]),
+            _Tracks.new(dogs, observed.d[:, None], [position]),
+        )
 
     def _predicted(self, belief: _Belief, elapsed: float, u: Array) -> _Belief:
         """Carry everybody forward by the coarse model."""
@@ -122,41 +172,32 @@ class Estimator:
         dt = elapsed / steps
         noise, crowd = self.sensor.position_noise, self.crowd
         crowd = replace(crowd, sheep=_wide(crowd.sheep, noise), dog=_wide(crowd.dog, noise))
-        state = rollout(crowd, belief.state, u[None, belief.dogs], dt, steps).at(-1)
+        end = rollout(crowd, belief.state, u[None, belief.dogs.names], dt, steps).at(-1)
         step = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
-        force = np.diag([0.0, self._noise**2 * dt])
-        covariance = belief.covariance
+        force = np.diag([0.0, self._force**2 * dt])
+        covariance = belief.sheep.covariance
         for _ in range(steps):
             covariance = step @ covariance @ step.T + force
-        variance = belief.variance + _SLIP**2 * elapsed
-        return replace(belief, state=state, covariance=covariance, variance=variance)
+        slipped = belief.dogs.covariance + _SLIP**2 * elapsed
+        return replace(
+            belief,
+            sheep=replace(
+                belief.sheep, mean=np.stack([end.x, end.v], axis=1), covariance=covariance
+            ),
+            dogs=replace(belief.dogs, mean=end.d[:, None], covariance=slipped),
+        )
 
-    def _corrected(self, old: _Belief, new: _Belief, observed: HerdState) -> _Belief:
-        """Return what is believed of all who are seen now, from what was expected of them."""
-        position, velocity = self.sensor.position_noise**2, self.sensor.velocity_noise**2
-        x, v, d = new.state.x.copy(), new.state.v.copy(), new.state.d.copy()
-        covariance, variance = new.covariance.copy(), new.variance.copy()
-
-        offset, here, there = _offsets(observed.x, new.ids, old.state.x, old.ids)
-        uncertainty = old.covariance[there] + np.diag([position, velocity])
-        known = _expected(offset, uncertainty[:, 0, 0])
-        here, there = here[known], there[known]
-        gain = old.covariance[there] @ np.linalg.inv(uncertainty[known])
-        change = gain @ np.stack([offset[known], observed.v[here] - old.state.v[there]], axis=1)
-        x[here] = old.state.x[there] + change[:, 0]
-        v[here] = old.state.v[there] + change[:, 1]
-        covariance[here] = old.covariance[there] - gain @ old.covariance[there]
-
-        offset, here, there = _offsets(observed.d, new.dogs, old.state.d, old.dogs)
-        known = _expected(offset, old.variance[there] + position)
-        here, there = here[known], there[known]
-        share = old.variance[there] / (old.variance[there] + position)
-        d[here] = old.state.d[there] + share[:, None] * offset[known]
-        variance[here] = (1.0 - share) * old.variance[there]
-        return replace(new, state=HerdState(x, v, d), covariance=covariance, variance=variance)
+    def _corrected(self, expected: _Belief, new: _Belief, observed: HerdState) -> _Belief:
+        position, velocity = self._variances
+        sheep = np.stack([observed.x, observed.v], axis=1)
+        return _Belief(
+            new.t,
+            expected.sheep.corrected(new.sheep, sheep, [position, velocity]),
+            expected.dogs.corrected(new.dogs, observed.d[:, None], [position]),
+        )
 
 
-def _check(names: _Names, points: Array, what: str) -> None:
+def _check_names(names: _Names, points: Array, what: str) -> None:
     if names.shape != (len(points),):
         raise ValueError(
             f'names of {what} have shape {names.shape}, allowed is ({len(points)},), '
@@ -175,16 +216,3 @@ def _wide(force: Morse, noise: float) -> Morse:
         repulsion=force.repulsion if force.repulsion_length > noise else 0.0,
         attraction=force.attraction if force.attraction_length > noise else 0.0,
     )
-
-
-def _offsets(
-    seen: Array, names: _Names, expected: Array, old_names: _Names
-) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Return how far the known are from where they should be, and their rows, new and old."""
-    _, here, there = np.intersect1d(names, old_names, return_indices=True)
-    return seen[here] - expected[there], here, there
-
-
-def _expected(offset: Array, variance: Array) -> NDArray[np.bool_]:
-    """Whether offsets (n, 2) [m] are such as a variance (n,) [m^2] of each coordinate explains."""
-    return np.square(offset).sum(axis=1) <= _SURPRISE**2 * variance

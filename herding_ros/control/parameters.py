@@ -130,7 +130,7 @@ class Mapping(Parameters):
 
 @dataclass(frozen=True)
 class Sensor(Parameters):
-    """The noise that the controller filters out of what it observes; none: it believes its eyes."""
+    """The noise of observations that the controller filters out; by default none."""
 
     position_noise: float = quantity(
         0.0,

@@ -14,24 +14,27 @@ _T = TypeVar('_T')
 class Work(Generic[_T]):
     """Runs work(out_of_time) in a thread, for something that begins at `start` [s].
 
-    `now` tells the time [s]; from `deadline` [s] on, or once it is dropped, out_of_time says
-    True, and the work shall return the best that it has. The thread does not keep the process
-    from ending.
+    `now` tells the time [s]. out_of_time says True, and the work shall return the best that it
+    has, once it is dropped or when another step might end after the start: one as long as the
+    longest so far, between two questions, or `reserve` [s] if that is more. The thread does not
+    keep the process from ending.
     """
 
     def __init__(
         self,
         work: Callable[[OutOfTime], _T],
         start: float,
-        deadline: float,
         now: Callable[[], float],
+        reserve: float,
     ) -> None:
         self.start = start
         self.result: _T | None = None
         self.error: Exception | None = None
         self._work = work
-        self._deadline = deadline
         self._now = now
+        self._asked = now()
+        self._reserve = reserve
+        self.longest_step = 0.0
         self._dropped = threading.Event()
         self._ended: float | None = None
         self._thread = threading.Thread(target=self._run, name='planner', daemon=True)
@@ -64,4 +67,7 @@ class Work(Generic[_T]):
         self._ended = self._now()
 
     def _is_out_of_time(self) -> bool:
-        return self.dropped or self._now() >= self._deadline
+        now = self._now()
+        self.longest_step = max(self.longest_step, now - self._asked)
+        self._asked = now
+        return self.dropped or now + max(self.longest_step, self._reserve) >= self.start

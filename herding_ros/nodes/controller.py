@@ -111,6 +111,7 @@ class Controller(HerdingNode):
         )
         self._refused = Refusals(self.get_logger())
         self._stopping = threading.Event()
+        self._longest_step = 0.25 * self._settings.lead  # of the last solve [s]; a guess
         self._coming: Work[Playing] | None = None  # the plan that is being made
         self._late: Work[Playing] | None = None  # the last one that was not there in time
         self._next: Playing | None = None  # the one that waits for its window
@@ -311,7 +312,7 @@ class Controller(HerdingNode):
             window = planner.solve(state, start, lambda: out_of_time() or self._stopping.is_set())
             return Playing(window, observed.dogs)
 
-        self._coming = Work(plan, start, start - period, self._now)
+        self._coming = Work(plan, start, self._now, max(self._longest_step, period))
 
     def _now(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
@@ -340,6 +341,7 @@ class Controller(HerdingNode):
         if not coming.done:
             return
         self._coming = None
+        self._longest_step = coming.longest_step
         if coming.error is not None:
             self._count_failure(coming.error)
         elif coming.result is not None and not coming.dropped:

@@ -352,20 +352,42 @@ def test_a_dog_that_cannot_move_is_found_all_the_same() -> None:
     assert k * PERIOD * told[0, 0] > 4.0  # where it would be
 
 
-def test_who_is_carried_off_is_found_at_once(random_herd: Callable[..., HerdState]) -> None:
-    herd, u = random_herd(5, 2), np.zeros((2, 2))
-    watched, ours = Watched(APART, herd, u, 40, 0.05), estimator(APART)
-    for k, each in enumerate(watched.seen):
+@pytest.mark.parametrize('jumps', [(30,), (30, 32), (30, 31, 32, 33)])
+def test_one_mistake_is_overlooked_and_who_is_carried_off_is_found(
+    jumps: tuple[int, ...], random_herd: Callable[..., HerdState]
+) -> None:
+    """A sheep and a dog are seen a metre away: once, twice with a break, or from now on."""
+    watched = Watched(APART, random_herd(5, 2), np.zeros((2, 2)), 34, 0.05)
+    ours, missing, u = estimator(APART), estimator(APART), np.zeros((2, 2))
+    for k, each in enumerate(watched.seen[:34]):
         x, d = each.x.copy(), each.d.copy()
-        if k >= 30:
+        if k in jumps:
             x[3] += 1.0
             d[1] -= 1.0
         believed = ours.update(k * PERIOD, np.arange(5), HerdState(x, each.v, d), u)
         if k == 30:
+            continue
+        usual = missing.update(k * PERIOD, np.arange(5), each, u)
+        if k < 30 or jumps == (30,):  # as if there had been no observation at k = 30
+            np.testing.assert_array_equal(believed.x[3], usual.x[3])
+            np.testing.assert_array_equal(believed.d[1], usual.d[1])
+        elif k == 31 and jumps == (30, 31, 32, 33):
             np.testing.assert_array_equal(believed.x[3], x[3])
             np.testing.assert_array_equal(believed.d[1], d[1])
-            others = [0, 1, 2, 4]
-            assert np.abs(believed.x[others] - watched.true[k].x[others]).max() < 0.05
+        elif jumps == (30, 32):
+            assert np.abs(believed.x[3] - watched.true[k].x[3]).max() < 0.05
+            assert np.abs(believed.d[1] - watched.true[k].d[1]).max() < 0.05
+        others = [0, 1, 2, 4]
+        assert k < 10 or np.abs(believed.x[others] - watched.true[k].x[others]).max() < 0.06
+    assert np.linalg.norm(believed.x[3] - x[3]) < 0.2
+
+
+def test_a_first_observation_that_was_a_mistake_is_corrected_at_once() -> None:
+    still = HerdState(np.zeros((2, 2)), np.zeros((2, 2)), np.ones((1, 2)))
+    wrong = replace(still, x=np.array([[0.0, 0.0], [9.0, 0.0]]))
+    ours, u = estimator(), np.zeros((1, 2))
+    ours.update(0.0, np.arange(2), wrong, u)
+    np.testing.assert_array_equal(ours.update(0.1, np.arange(2), still, u).x[1], still.x[1])
 
 
 def run_until(t: float) -> Estimator:

@@ -56,6 +56,8 @@ the allocators of Python, NumPy and the middleware keep for later differs by som
 LIMIT = 20.0
 """No condition is waited for any longer [s]."""
 
+MOST_SHEEP = 10
+
 KINDS = {'sheep': PointCloud2, 'odom': Odometry, 'cmd_vel': TwistStamped, 'goal_pose': PoseStamped}
 
 
@@ -157,13 +159,13 @@ class Forger:
             ('empty', lambda: self.sheep(ns, width=0, row_step=0, data=array.array('B'))),
             ('duplicate ids', lambda: self.sheep(ns, data=points[:28] * 6)),
             ('too many sheep', lambda: self.sheep(ns, width=2**32 - 1, height=2**32 - 1)),
-            ('too many sheep', lambda: self.sheep(ns, n=1001)),
+            ('too many sheep', lambda: self.sheep(ns, n=MOST_SHEEP + 1)),
         ]
         if stamps:
             kinds.append(('stamp too old', lambda: self.sheep(ns - self.random.choice(AGES))))
             kinds.append(('stamp in the future', lambda: self.sheep(ns + AGES[0])))
         if self.random.random() < 0.3:
-            return self.mutated(lambda data: messages.sheep_in(data, 'map', 1000), good)
+            return self.mutated(lambda data: messages.sheep_in(data, 'map', MOST_SHEEP), good)
         kind, make = self.random.choice(kinds)
         return kind, make()
 
@@ -306,7 +308,10 @@ def exact(counts: dict[str, int]) -> Counter[str]:
     return Counter({k: v for k, v in counts.items() if not k.startswith('goal_pose')})
 
 
-QUICK = {'horizon__length': 4.0, 'horizon__accepted': 2.0, 'mapping__paths': 20, 'lead': 0.5}
+QUICK = {
+    'horizon__length': 4.0, 'horizon__accepted': 2.0, 'mapping__paths': 20, 'lead': 0.5,
+    'most_sheep': MOST_SHEEP,
+}  # fmt: skip
 DEEP = {
     f'qos_overrides./{topic}.subscription.depth': 2 * BATCH
     for topic in ('sheep', 'dog_1/odom', 'dog_2/odom', 'dog_1/cmd_vel')
@@ -317,11 +322,9 @@ GOALS = ('not finite', 'too large', 'wrong frame', 'malformed')
 def wrong_observations(
     forger: Forger, count: int, now: Callable[[], int], stamps: bool = True
 ) -> Iterator[Wrong]:
-    for k in range(count):
+    for _ in range(count):
         topic = forger.random.choice(['sheep', 'sheep', 'dog_1/odom', 'dog_2/odom', 'goal_pose'])
-        if k % (BATCH // 4) == 0:
-            yield Wrong('sheep', 'too many sheep', FAR_TOO_MANY)
-        elif topic == 'sheep':
+        if topic == 'sheep':
             yield Wrong(topic, *forger.wrong_sheep(now(), stamps))
         elif topic == 'goal_pose':
             yield Wrong(topic, *forger.wrong_goal())
@@ -396,8 +399,7 @@ def test_controller_in_real_time(start: Callable[..., Any], peer: Any) -> None:
         later = [message for message in heard if messages.nanoseconds(message.header.stamp) > end]
         assert len(later) > 10
         assert not any(speed(message) for message in later)
-    grown = storm.memory() - memory
-    assert grown < MEMORY
+    assert storm.memory() - memory < MEMORY
     storm.check_log()
     assert process.end() == 0
 
@@ -423,10 +425,13 @@ def test_controller_in_lockstep_answers_as_if_nothing_had_been(
     planner = RecedingHorizon(Crowd(), control, np.array([0.5, 0.5]), seed=7)
     planner.solve(herd, 0.0)
     assert planner.plan is not None
-    for k in range(15):
+    memory = math.inf
+    for k in range(20):
         ns = k * 100_000_000
-        for one in wrong_observations(forger, 100, lambda ns=ns: ns, stamps=False):  # type: ignore[misc]
+        for i, one in enumerate(wrong_observations(forger, 60, lambda ns=ns: ns, stamps=False)):  # type: ignore[misc]
             storm.publishers[one.topic].publish(one.data)
+            if i % 15 == 0:
+                storm.publishers['sheep'].publish(FAR_TOO_MANY)
             time.sleep(PERIOD)
         for m in (1, 2):
             dogs[m].publish(messages.odometry(herd.d[m - 1], np.zeros(2), m, ns, 'map'))
@@ -436,6 +441,9 @@ def test_controller_in_lockstep_answers_as_if_nothing_had_been(
             assert messages.nanoseconds(heard[k].header.stamp) == ns
             linear = heard[k].twist.linear
             assert np.array_equal([linear.x, linear.y], planner.plan.at(k * 0.1)[m])
+        if k == 10:  # the queue of the middleware has held large clouds at each of its places
+            memory = storm.memory()
+    assert storm.memory() - memory < MEMORY
     storm.wait_until(lambda: len(storm.counted()) > 10)
     assert process.end() == 0
 
@@ -481,8 +489,7 @@ def test_sim_in_real_time(start: Callable[..., Any], peer: Any) -> None:
     later = [m for m in truth if messages.nanoseconds(m.header.stamp) > last_good + 5_000_000_000]
     assert len(later) > 10
     assert len({place(message) for message in later}) == 1
-    grown = storm.memory() - memory
-    assert grown < MEMORY
+    assert storm.memory() - memory < MEMORY
     storm.check_log()
     assert process.end() == 0
 
@@ -526,8 +533,7 @@ def test_recorder_keeps_every_byte(start: Callable[..., Any], peer: Any, tmp_pat
     blow(1000)
     memory = storm.memory()
     blow(2500)
-    grown = storm.memory() - memory
-    assert grown < MEMORY
+    assert storm.memory() - memory < MEMORY
     assert process.end() == 0
     assert 'lost' not in process.log
     assert len(process.log) < 10_000
