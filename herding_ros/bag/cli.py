@@ -49,13 +49,15 @@ def main(args: list[str] | None = None) -> int:
 
 def _recover(folder: Path) -> Recovery:
     """Recover a bag; on a terminal a bar shows how far it is."""
+    console = Console(stderr=True)
     bar = Progress(
         TextColumn('{task.description}'),
         BarColumn(),
         DownloadColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=console,
         transient=True,
+        disable=not console.is_terminal,
     )
     with bar:
         task = bar.add_task('')

@@ -97,9 +97,8 @@ def recover(folder: Path, progress: Progress = lambda what, size, done: None) ->
         old = read_metadata(folder)
     except (FileNotFoundError, ValueError):
         old = {}
-    _check_names_are_free(
-        [*(one.path for one in inspections if one.faults), folder / FILE_NAME],
-    )
+    broken = [one.path for one in inspections if one.faults]
+    _check_names_are_free([*broken, folder / FILE_NAME] if broken else [])
     keeping = _Keeping.of(inspections, old)
     results: list[Result] = []
     for one in inspections:
@@ -111,6 +110,7 @@ def recover(folder: Path, progress: Progress = lambda what, size, done: None) ->
     is_new = not _is_same(old, content)
     if is_new:
         if (folder / FILE_NAME).exists():
+            _check_names_are_free([folder / FILE_NAME])
             _keep(folder / FILE_NAME)
         write_metadata(folder, content)
     return Recovery(results, is_new)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd, Morse
+from herding_ros.model.parameters import Crowd, Morse, TINY
 from herding_ros.model.state import Array, finite, HerdState
 
 from .parameters import Sensor
@@ -122,9 +122,9 @@ class Estimator:
         ids: (N,) names of the observed sheep; u: (all dogs, 2) velocities that dogs were told
         since the last update [m/s]; dogs: indices in u of those that are observed, by default
         all. Sheep and dogs come and go: who is new is believed to be where it is seen. When t is
-        not later than at the last update, or much later, everybody is new. Where a sheep or dog
-        suddenly is far from expected, the first such observation counts as none. A sensor
-        without noise is believed to the bit.
+        before the last update, or much later, everybody is new. Where a sheep or dog suddenly is
+        far from expected, the first such observation counts as none. A sensor without noise is
+        believed to the bit.
 
         Raises ValueError when names, rows and velocities do not fit.
         """
@@ -139,8 +139,9 @@ class Estimator:
         new = self._first(t, np.asarray(ids), names, observed)
         if self._belief is not None:
             elapsed = t - self._belief.t
-            if 0.0 < elapsed <= _LONGEST_GAP * self.control_period:
-                new = self._corrected(self._predicted(self._belief, elapsed, u), new, observed)
+            if 0.0 <= elapsed <= _LONGEST_GAP * self.control_period:
+                expected = self._predicted(self._belief, elapsed, u) if elapsed else self._belief
+                new = self._corrected(expected, new, observed)
         self._belief = new
         return new.state
 
@@ -152,7 +153,11 @@ class Estimator:
     @property
     def _variances(self) -> tuple[float, float]:
         """Of observed positions [m^2] and velocities [m^2/s^2]."""
-        return self.sensor.position_noise**2, self.sensor.velocity_noise**2
+        # Never zero: no two of them would fit together.
+        return (
+            max(self.sensor.position_noise, TINY) ** 2,
+            max(self.sensor.velocity_noise, TINY) ** 2,
+        )
 
     def _first(self, t: float, ids: _Names, dogs: _Names, observed: HerdState) -> _Belief:
         """Return what is known from one observation: sheep seldom run faster than at random."""

@@ -1,7 +1,8 @@
 """Two sims, or two controllers, by mistake: all but one end and say why.
 
 Each kind of node has a topic that no other kind publishes. Who finds a publisher of it does not
-become active. Two that begin at the same instant do not find each other, so they go on looking.
+become active. Two that begin at the same instant may not find each other, so they go on looking:
+then the one that was there first stays, or that with the lower number.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Callable
 import time
 
 from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -42,13 +44,36 @@ def sole_publisher(node: HerdingNode, topic: str, create: Callable[[], Publisher
         node.destroy_publisher(publisher)
         return sole_publisher(node, topic, create)
 
-    def look() -> None:
-        for other in node.get_publishers_info_by_topic(full_name):
-            if other.endpoint_gid < found[0].endpoint_gid:
-                raise CannotGoOnError(f'{_name(other)} publishes {full_name} as well; {_ADVICE}')
-
-    node.create_timer(LOOK_PERIOD, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    watch = _Watch(node, full_name, found[0].endpoint_gid)
+    node.create_timer(LOOK_PERIOD, watch.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
     return publisher
+
+
+class _Watch:
+    """Looks for rivals of an active node; raises CannotGoOnError when one has to be given way."""
+
+    def __init__(self, node: Node, topic: str, mine: list[int]) -> None:
+        self._node = node
+        self._topic = topic
+        self._mine = mine
+        self._begun = time.monotonic()
+        self._since: float | None = None  # when there was a rival first
+
+    def look(self) -> None:
+        """Give way to a rival that does not go: at once, or later with a better claim."""
+        infos = self._node.get_publishers_info_by_topic(self._topic)
+        others = [info for info in infos if info.endpoint_gid != self._mine]
+        now = time.monotonic()
+        if not others:
+            self._since = None
+            return
+        if self._since is None:
+            self._since = now
+            return
+        was_first = self._since > self._begun + PATIENCE
+        is_lower = all(self._mine < info.endpoint_gid for info in others)
+        if now > self._since + PATIENCE * (2 * was_first + is_lower):
+            raise CannotGoOnError(f'{_name(others[0])} publishes {self._topic} as well; {_ADVICE}')
 
 
 def _wait_until_nobody_publishes(node: HerdingNode, topic: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from pathlib import Path
 import random
 import shutil
@@ -13,6 +15,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from herding_ros.bag.point_cloud import points
 from herding_ros.bag.reader import read_run
+from herding_ros.bag.writer import BagWriter
 
 PERIOD_NS = 100_000_000
 PARAMETERS = {'/controller': {'goal': [0.5, -0.25]}, '/sim': {'seed': 3}}
@@ -341,3 +344,42 @@ def test_bag_is_read_from_its_own_folder_alone(
     (tmp_path / 'stranger' / 'bag_0.mcap').unlink()
     with pytest.raises(ValueError, match='missing'):
         read_run(tmp_path / 'stranger')
+
+
+def test_bag_of_several_files_is_read_as_one(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    with run_recorder(tmp_path / 'one', PARAMETERS) as recorder:
+        write(recorder, arrays)
+    with run_recorder(tmp_path / 'none', PARAMETERS) as recorder:
+        recorder.bag.close()
+        custom_data = {'herding_ros_version': '9.8.7', 'parameters': json.dumps(PARAMETERS)}
+        recorder.bag = BagWriter(tmp_path / 'several', custom_data, max_size=10_000)
+        write(recorder, arrays)
+    assert recorder.bag.file_count > 3
+    one, several = read_run(tmp_path / 'one'), read_run(tmp_path / 'several')
+    for field in dataclasses.fields(one):
+        np.testing.assert_equal(getattr(several, field.name), getattr(one, field.name))
+
+
+@pytest.mark.parametrize('mode', ['FILE', 'MESSAGE', 'file'])
+def test_bag_that_rosbag2_compressed_is_refused(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any], mode: str
+) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays)
+    file = tmp_path / 'bag' / 'metadata.yaml'
+    text = file.read_text().replace("compression_mode: ''", f'compression_mode: {mode}')
+    file.write_text(text.replace("compression_format: ''", 'compression_format: zstd'))
+    with pytest.raises(ValueError, match='compressed by rosbag2, mode (file|message): write it'):
+        read_run(tmp_path / 'bag')
+
+
+def test_bag_with_a_file_that_is_not_listed_is_told(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays)
+    shutil.copy(tmp_path / 'bag' / 'bag_0.mcap', tmp_path / 'bag' / 'bag_1.mcap')
+    with pytest.raises(FileNotFoundError, match=r'does not list bag_1\.mcap; recover it by'):
+        read_run(tmp_path / 'bag')

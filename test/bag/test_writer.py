@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+import errno
 from pathlib import Path
+import random
 import re
+import resource
 import shutil
+import subprocess
 from typing import Any
 
 from mcap.exceptions import EndOfFile
@@ -26,7 +30,9 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from ruamel.yaml import YAML
 
-from herding_ros.bag.part import CHUNK_SIZE
+from herding_ros.bag.inspection import inspect
+from herding_ros.bag.part import CHUNK_SIZE, LARGEST_MESSAGE, RESERVE
+from herding_ros.bag.recovery import recover
 from herding_ros.bag.writer import BagWriter
 
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
@@ -351,3 +357,267 @@ def test_duration_spans_times_in_any_order(tmp_path: Path) -> None:
     data = load(tmp_path / 'bag')
     assert data['starting_time'] == {'nanoseconds_since_epoch': 20}
     assert data['duration'] == {'nanoseconds': 70}
+
+
+def test_what_was_flushed_is_on_disk(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / 'bag')
+    bag.add_topic('/a', 'std_msgs/msg/String', 'string data\n', [], HASH)
+    bag.flush()  # of nothing
+    for k in range(7):
+        bag.write('/a', text_message(f'{k}'), START + k, START)
+        if k == 4:
+            bag.flush()
+            bag.flush()
+    data = (tmp_path / 'bag' / 'bag_0.mcap').read_bytes()
+    bag.close()
+    assert [text_message(f'{k}') in data for k in range(7)] == [True] * 5 + [False] * 2
+    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as stream:
+        records = list(StreamReader(stream, emit_chunks=True).records)
+    assert len([record for record in records if isinstance(record, Chunk)]) == 2
+
+
+@pytest.mark.parametrize('times', [(-1, 0), (0, -1), (2**63, 0), (0, 2**63)])
+def test_times_that_are_none_are_refused(tmp_path: Path, times: tuple[int, int]) -> None:
+    with BagWriter(tmp_path / 'bag') as bag:
+        bag.add_topic('/a', 'std_msgs/msg/String', 'string data\n', [], HASH)
+        with pytest.raises(ValueError, match='allowed are 0 to 9223372036854775807'):
+            bag.write('/a', text_message('x'), *times)
+        bag.write('/a', text_message('y'), 2**63 - 1, 0)
+    with AnyReader([tmp_path / 'bag']) as reader:
+        assert [bytes(data) for _, _, data in reader.messages()] == [text_message('y')]
+
+
+def test_message_that_could_not_be_read_back_is_refused(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag') as bag:
+        bag.add_topic('/a', 'std_msgs/msg/String', 'string data\n', [], HASH)
+        largest = bytes(LARGEST_MESSAGE - 47)
+        with pytest.raises(ValueError, match=f'allowed are {len(largest)}'):
+            bag.write('/a', largest + b'x', START, START)
+        bag.write('/a', largest, START, START)
+        assert bag.message_count == 1
+    del largest
+    assert inspect(tmp_path / 'bag' / 'bag_0.mcap').faults == []
+
+
+# Bags of several files.
+
+
+def numbered(count: int, period_ns: int = 1_000_000) -> list[tuple[str, int, bytes]]:
+    return [
+        ('/b' if k % 3 else '/a', START + period_ns * k, text_message(f'{k} ' + 'x' * (k % 90)))
+        for k in range(count)
+    ]
+
+
+def write_numbered(
+    path: Path, messages: list[tuple[str, int, bytes]], late: int = -1, **limits: int
+) -> BagWriter:
+    """An open bag; a third topic is added before message `late`."""
+    bag = BagWriter(path, {'key': 'value'}, **limits)
+    for topic in ('/a', '/b'):
+        bag.add_topic(topic, 'std_msgs/msg/String', 'string data\n', [PROFILE], HASH)
+    for k, (topic, time, data) in enumerate(messages):
+        if k == late:
+            bag.add_topic('/late', 'std_msgs/msg/String', 'string data\n', [RELIABLE], HASH)
+        bag.write(topic, data, time, time)
+    return bag
+
+
+def read_numbered(path: Path) -> list[tuple[str, int, bytes]]:
+    with AnyReader([path]) as reader:
+        return [(c.topic, time, bytes(data)) for c, time, data in reader.messages()]
+
+
+@pytest.mark.parametrize('limits', [{'max_size': 100_000}, {'max_duration_ns': 700_000_000}])
+def test_nothing_is_lost_or_doubled_between_files(tmp_path: Path, limits: dict[str, int]) -> None:
+    messages = numbered(5000)
+    with write_numbered(tmp_path / 'bag', messages, late=2500, **limits) as bag:
+        count = bag.file_count
+    assert count > 4
+    assert read_numbered(tmp_path / 'bag') == messages
+    names = [f'bag_{k}.mcap' for k in range(count)]
+    assert sorted(file.name for file in (tmp_path / 'bag').iterdir()) == sorted(
+        [*names, 'metadata.yaml']
+    )
+    content = load(tmp_path / 'bag')
+    assert content['relative_file_paths'] == names
+    assert content['message_count'] == len(messages)
+    assert content['starting_time'] == {'nanoseconds_since_epoch': START}
+    assert content['duration'] == {'nanoseconds': 4_999_000_000}
+    assert {
+        topic['topic_metadata']['name']: topic['message_count']
+        for topic in content['topics_with_message_count']
+    } == {'/a': 1667, '/b': 3333, '/late': 0}
+    together: list[tuple[str, int, bytes]] = []
+    for name, information in zip(names, content['files'], strict=True):
+        with (tmp_path / 'bag' / name).open('rb') as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            part = [
+                (channel.topic, message.log_time, message.data)
+                for _, channel, message in reader.iter_messages()
+            ]
+            summary = reader.get_summary()
+            assert summary is not None
+            # Every file can be read by itself, and has all topics known until then.
+            assert {c.topic for c in summary.channels.values()} >= {'/a', '/b'}
+            assert summary.statistics is not None
+            assert summary.statistics.message_count == len(part)
+            *_, record = reader.iter_metadata()
+        assert 'key: value' in record.metadata['serialized_metadata']
+        assert information == {
+            'path': name,
+            'starting_time': {'nanoseconds_since_epoch': part[0][1]},
+            'duration': {'nanoseconds': part[-1][1] - part[0][1]},
+            'message_count': len(part),
+        }
+        together += part
+    assert together == messages
+
+
+def test_files_end_at_their_size(tmp_path: Path) -> None:
+    with write_numbered(tmp_path / 'bag', numbered(20_000), max_size=300_000) as bag:
+        assert bag.size > 1_500_000
+    sizes = [file.stat().st_size for file in (tmp_path / 'bag').glob('*.mcap')]
+    assert bag.size == sum(sizes)
+    assert len(sizes) > 5
+    assert max(sizes) < 310_000  # with what completes the file
+    assert sorted(sizes)[1] > 290_000
+
+
+def test_files_end_after_their_time(tmp_path: Path) -> None:
+    messages = numbered(100, period_ns=10_000_000)
+    write_numbered(tmp_path / 'bag', messages, max_duration_ns=100_000_000).close()
+    files = load(tmp_path / 'bag')['files']
+    # One begins with the message that is later than the time after the first: as in rosbag2.
+    assert [file['message_count'] for file in files] == [11] * 9 + [1]
+    assert {file['duration']['nanoseconds'] for file in files[:-1]} == {100_000_000}
+
+
+def test_no_file_is_without_messages(tmp_path: Path) -> None:
+    messages = numbered(5)
+    write_numbered(tmp_path / 'bag', messages, max_size=1, max_duration_ns=1).close()
+    assert [file['message_count'] for file in load(tmp_path / 'bag')['files']] == [1] * 5
+    assert read_numbered(tmp_path / 'bag') == messages
+
+
+def test_files_that_are_complete_are_readable_before_the_end(tmp_path: Path) -> None:
+    messages = numbered(5000)
+    bag = write_numbered(tmp_path / 'bag', messages, max_duration_ns=999_000_000)
+    assert bag.file_count == 5
+    shutil.copytree(tmp_path / 'bag', tmp_path / 'killed')
+    bag.close()
+    assert read_numbered(tmp_path / 'killed') == messages[:4000]
+
+
+# Disks that refuse.
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """No file can be larger than this: as if the disk were full then."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 4 MB."""
+    path = tmp_path / 'disk'
+    path.mkdir()
+    mount = ['mount', '-t', 'tmpfs', '-o', 'size=4m', 'tmpfs', str(path)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip('only root can make a small disk')
+    yield path
+    subprocess.run(['umount', str(path)], check=True)
+
+
+def write_until_refused(bag: BagWriter) -> list[tuple[str, int, bytes]]:
+    """Write until the disk refuses, flushing now and then; returns what was accepted."""
+    accepted: list[tuple[str, int, bytes]] = []
+    generator = random.Random(0)
+    try:
+        for k in range(10**6):
+            time, data = START + 1_000_000 * k, generator.randbytes(generator.randrange(900))
+            bag.write('/a', data, time, time)
+            accepted.append(('/a', time, data))
+            if k % 30 == 29:
+                bag.flush()
+            if k % 400 == 399:
+                bag.set_custom_data({'growing': 'x' * k})
+            if k % 300 == 299:
+                bag.add_topic(f'/t{k}', 'std_msgs/msg/String', 'string data\n' * k, [], HASH)
+    except OSError as error:
+        number = error.errno
+    assert number in (errno.ENOSPC, errno.EFBIG)
+    return accepted
+
+
+def check_complete(bag: BagWriter, accepted: list[tuple[str, int, bytes]]) -> None:
+    assert bag.message_count == len(accepted) > 1000
+    assert read_numbered(bag.path) == accepted
+    for file in bag.path.glob('*.mcap'):
+        assert inspect(file).faults == []
+    content = load(bag.path)
+    assert content['message_count'] == len(accepted)
+    assert 'growing' in content['custom_data']
+
+
+@pytest.mark.parametrize('size', range(2_000_000, 3_000_000, 77_777))
+def test_all_that_was_accepted_is_in_the_bag_when_a_file_cannot_grow(
+    tmp_path: Path, size: int
+) -> None:
+    with largest_file(size):
+        bag = BagWriter(tmp_path / 'bag')
+        bag.add_topic('/a', 'std_msgs/msg/String', 'string data\n', [PROFILE], HASH)
+        accepted = write_until_refused(bag)
+        bag.close()
+    check_complete(bag, accepted)
+    assert size - 2 * RESERVE < bag.size < size  # most of the room was used
+
+
+@pytest.mark.parametrize('limits', [{}, {'max_size': 700_000}, {'max_duration_ns': 499_000_000}])
+def test_all_that_was_accepted_is_in_the_bag_when_the_disk_is_full(
+    small_disk: Path, limits: dict[str, int]
+) -> None:
+    bag = BagWriter(small_disk / 'bag', **limits)
+    bag.add_topic('/a', 'std_msgs/msg/String', 'string data\n', [PROFILE], HASH)
+    accepted = write_until_refused(bag)
+    bag.close()
+    check_complete(bag, accepted)
+    assert bag.size > 2_000_000
+
+
+def test_disk_full_with_a_large_message(small_disk: Path) -> None:
+    with BagWriter(small_disk / 'bag') as bag:
+        bag.add_topic('/a', 'std_msgs/msg/String', 'string data\n', [PROFILE], HASH)
+        bag.write('/a', b'first', START, START)
+        with pytest.raises(OSError, match='No space left'):
+            bag.write('/a', bytes(10_000_000), START + 1, START)
+    assert read_numbered(bag.path) == [('/a', START, b'first')]
+
+
+def test_full_disk_at_the_start_leaves_nothing_behind(small_disk: Path) -> None:
+    (small_disk / 'filling').write_bytes(bytes(3_500_000))
+    with pytest.raises(OSError, match=r'cannot write the bag .*bag: No space left on device'):
+        BagWriter(small_disk / 'bag')
+    assert [file.name for file in small_disk.iterdir()] == ['filling']
+
+
+def test_disk_that_breaks_its_word_leaves_what_can_be_recovered(tmp_path: Path) -> None:
+    messages = numbered(2000)
+    bag = write_numbered(tmp_path / 'bag', messages)
+    bag.flush()
+    bag.write('/a', text_message('not flushed'), START + 10**12, START)
+    with largest_file(1000):  # less than the file has already
+        with pytest.raises(OSError, match='File too large'):
+            bag.flush()
+        with pytest.raises(OSError, match='could not be completed'):
+            bag.close()
+        bag.close()  # nothing is left to do
+    assert not (tmp_path / 'bag' / 'metadata.yaml').exists()
+    recover(tmp_path / 'bag')
+    assert read_numbered(tmp_path / 'bag') == messages

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from herding_ros.nodes import rivals
+
 BLIND = Path(__file__).with_name('blind.py')
 SMALL: dict[str, dict[str, Any]] = {'sim': {'sheep': 3, 'dogs': 1}, 'controller': {'dogs': 1}}
 SOLE_TOPIC = {'sim': 'truth/sheep', 'controller': 'plan'}
@@ -59,36 +61,38 @@ def test_another_namespace_is_another_place(
     assert [node.process.poll() for node in nodes] == [None, None]
 
 
-@pytest.mark.parametrize('_', range(2))
 @both_nodes
-def test_of_two_active_ones_one_goes(
-    start: Callable[..., Any], peer: Any, name: str, _: int
+def test_of_two_active_ones_the_first_stays(
+    start: Callable[..., Any], peer: Any, name: str
 ) -> None:
-    """Tried twice, since chance decides which one."""
     one = start(name, **SMALL[name])
     peer.spin_until(is_active(peer, name))
+    peer.spin_for(rivals.PATIENCE + 1.0)
     other = start(name, name, program=BLIND, **SMALL[name])
-    peer.spin_until(lambda: [node.process.poll() for node in (one, other)].count(None) == 1)
-    gone, left = (one, other) if one.process.poll() is not None else (other, one)
-    assert gone.wait() == 2
-    assert f'ending: node /{name} publishes /{SOLE_TOPIC[name]} as well' in gone.log
-    assert 'Traceback' not in gone.log
-    peer.spin_for(2.0)
-    assert left.process.poll() is None
+    peer.spin_until(lambda: other.process.poll() is not None)
+    assert other.wait() == 2
+    assert f'ending: node /{name} publishes /{SOLE_TOPIC[name]} as well' in other.log
+    assert 'Traceback' not in other.log
+    peer.spin_for(2.0 * rivals.PATIENCE)
+    assert one.process.poll() is None, one.log
     assert peer.node.count_publishers(MOVES[name]) == 1
 
 
+@pytest.mark.parametrize('program', [BLIND, None], ids=['both active', 'as it comes'])
 @both_nodes
-def test_of_two_that_start_together_one_remains(
-    start: Callable[..., Any], peer: Any, name: str
+def test_of_two_that_start_together_one_stays(
+    start: Callable[..., Any], peer: Any, name: str, program: Path | None
 ) -> None:
-    nodes = [start(name, **SMALL[name]) for _ in range(2)]
+    words = [name] if program else []
+    nodes = [start(name, *words, program=program, **SMALL[name]) for _ in range(2)]
     peer.spin_until(lambda: [node.process.poll() for node in nodes].count(None) == 1)
-    left, gone = sorted(nodes, key=lambda node: node.process.poll() is not None)
+    stays, gone = sorted(nodes, key=lambda node: node.process.poll() is not None)
     assert gone.wait() == 2, gone.log
+    assert f'publishes /{SOLE_TOPIC[name]} {"as well" if program else ""}' in gone.log
     peer.spin_until(is_active(peer, name))
-    peer.spin_for(2.0)
-    assert left.process.poll() is None, left.log
+    peer.spin_for(3.0 * rivals.PATIENCE)
+    assert stays.process.poll() is None, stays.log
+    assert peer.node.count_publishers(MOVES[name]) == 1
 
 
 @both_nodes
