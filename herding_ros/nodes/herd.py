@@ -188,7 +188,7 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     if not lockstep:
         sim['real_time_factor'] = options.real_time
         # A solve takes wall time: the faster the sim's clock, the earlier it has to begin.
-        controller['lead'] = min(max(2.0, 2.0 * options.real_time), 9.0)
+        controller['lead'] = min(max(2.0, 0.5 * options.real_time), 9.0)
     return [
         Child('recorder', recorder, logs),
         Child('controller', controller, logs),

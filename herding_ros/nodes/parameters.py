@@ -19,6 +19,7 @@ from rcl_interfaces.msg import (
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.service import Service
 
 from herding_ros.model.parameters import (
     check,
@@ -56,7 +57,7 @@ _P = TypeVar('_P', bound=Parameters)
 
 
 class HerdingNode(Node):
-    """A node some of whose parameters change while it runs, and that says why it refuses one.
+    """A node whose parameters and services take nothing that they should not.
 
     Sim and controller are of this kind.
     """
@@ -88,22 +89,40 @@ class HerdingNode(Node):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set all or none; the parameter services come here."""
-        changes = {p.name: p.value for p in parameter_list if self._is_live(p.name)}
+        changes = {p.name: p.value for p in parameter_list}
         try:
-            new = [(prefix, _changed(old, changes, prefix)) for prefix, old in self._followed]
+            for name in changes:
+                if not self.has_parameter(name):
+                    raise ValueError(f'{self.get_name()} has no parameter {name}')
+            live = {name: value for name, value in changes.items() if self._is_live(name)}
+            new = [(prefix, _changed(old, live, prefix)) for prefix, old in self._followed]
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         result = super().set_parameters_atomically(parameter_list)
-        if result.successful and changes:
+        if result.successful and live:
             self._followed = tuple(new)
             self._take(*(values for _, values in new))
         return result
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
+    ) -> Service:
+        """Create a service, one of rclpy's own included, that no request can end the node with."""
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except ValueError as error:
+                self.get_logger().warning(f'{srv_name}: a request makes no sense: {error}')
+                return response
+
+        return super().create_service(srv_type, srv_name, answer, **options)
 
     def stop(self) -> None:
         """Let what takes long end early; called in a thread of its own when the node shall end."""
 
     def _is_live(self, name: str) -> bool:
-        return self.has_parameter(name) and not self.describe_parameter(name).read_only
+        return not self.describe_parameter(name).read_only
 
 
 def declare(node: Node, defaults: _P, prefix: str = '', live: Sequence[str] = ()) -> _P:

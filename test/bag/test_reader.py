@@ -371,7 +371,7 @@ def test_bag_that_rosbag2_compressed_is_refused(
     file = tmp_path / 'bag' / 'metadata.yaml'
     text = file.read_text().replace("compression_mode: ''", f'compression_mode: {mode}')
     file.write_text(text.replace("compression_format: ''", 'compression_format: zstd'))
-    with pytest.raises(ValueError, match='compressed by rosbag2, mode (file|message): write it'):
+    with pytest.raises(ValueError, match=r'compressed by rosbag2, mode (file|message): write it'):
         read_run(tmp_path / 'bag')
 
 

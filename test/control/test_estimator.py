@@ -543,7 +543,7 @@ def test_a_believed_flock_is_one_that_can_be() -> None:
 
 @pytest.mark.parametrize('seed', range(3))
 def test_flock_comes_home_under_bad_sensors(seed: int) -> None:
-    """As soon as with exact ones; seed 0 takes twice the time when observations are believed."""
+    """About as soon as with exact ones; `study observation` has more, also without the filter."""
     exact = World(sheep=20, dogs=5, seed=seed, position_noise=0.0, velocity_noise=0.0)
     bad = replace(exact, position_noise=0.05, velocity_noise=0.05)
     usual = closed_loop(Crowd(), exact, Control(), GOAL, 60.0)
@@ -551,9 +551,6 @@ def test_flock_comes_home_under_bad_sensors(seed: int) -> None:
     assert usual.arrived
     assert filtered.arrived
     assert filtered.t[-1] < 1.2 * usual.t[-1]
-    if seed == 0:
-        raw = closed_loop(Crowd(), bad, Control(), GOAL, 1.5 * filtered.t[-1])
-        assert not raw.arrived
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,8 @@ DOGS = 3
 SIM = {'sheep': 8, 'dogs': DOGS, 'real_time_factor': FACTOR, 'stop_on_arrival': True}
 CONTROLLER = {'dogs': DOGS, 'use_sim_time': True, 'lead': 4.0, 'mapping__paths': 20}
 
+AILING = Path(__file__).with_name('ailing_controller.py')
+
 
 def seconds(message: Any) -> float:
     return messages.nanoseconds(message.header.stamp) * 1e-9
@@ -251,16 +253,15 @@ def test_slow_solver_falls_back_and_recovers(
     start: Callable[..., Any], peer: Any, tmp_path: Path
 ) -> None:
     """A late plan leaves the second half of the old one, then the dogs stand; then it goes on."""
-    slow = tmp_path / 'slow'
+    illness = tmp_path / 'illness'
     meadow = Meadow(peer)
     commands = Commands(peer, meadow)
     start('sim', **SIM)
-    program = Path(__file__).with_name('slow_controller.py')
     # Three times the lead is more than what is left of the old plan, 4 s + 5 s.
     short = {'horizon__length': 10.0, 'horizon__accepted': 5.0}
-    start('controller', str(slow), program=program, **CONTROLLER, **short)
+    start('controller', str(illness), program=AILING, **CONTROLLER, **short)
     meadow.run_until(lambda: meadow.plans and meadow.now() > seconds(meadow.plans[0]))
-    slow.touch()
+    illness.write_text('slow')
     doings = []
 
     def doing() -> str:
@@ -278,7 +279,32 @@ def test_slow_solver_falls_back_and_recovers(
     for t, u in told:
         assert np.array_equal(u, commands.planned(t, [first]))
     assert int(meadow.said('controller: state')['deadlines_missed']) >= 1
-    slow.unlink()
+    illness.unlink()
     meadow.run_until(lambda: len(meadow.plans) > 1)
     meadow.run_until(lambda: 'playing a plan' in doing())
+    meadow.run_until(meadow.arrived)
+
+
+def test_broken_solver_is_counted_and_tried_again(
+    start: Callable[..., Any], peer: Any, tmp_path: Path
+) -> None:
+    illness = tmp_path / 'illness'
+    meadow = Meadow(peer)
+    start('sim', **SIM)
+    controller = start('controller', str(illness), program=AILING, **CONTROLLER)
+    meadow.run_until(meadow.dogs_run)
+    illness.write_text('broken')
+    meadow.run_until(lambda: int(meadow.said('controller: state').get('plans_failed', 0)) > 3)
+    meadow.run_until(lambda: 'the plan is over' in meadow.said('controller: state')[''])
+    meadow.run_until(meadow.dogs_stand)
+    assert controller.log.count('the solver is broken') == 1
+    illness.unlink()
+    meadow.run_until(meadow.arrived)
+
+
+def test_noisy_observations_are_filtered(start: Callable[..., Any], peer: Any) -> None:
+    start('sim', position_noise=0.05, velocity_noise=0.05, **SIM)
+    noise = {'sensor__position_noise': 0.05, 'sensor__velocity_noise': 0.05}
+    start('controller', **CONTROLLER, **noise)
+    meadow = Meadow(peer)
     meadow.run_until(meadow.arrived)

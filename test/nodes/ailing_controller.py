@@ -1,7 +1,7 @@
-"""The controller, its solver three times as slow as its deadline allows.
+"""The controller with a solver that is ill as long as a file says so.
 
-Run as a program with the path of a file before the ROS arguments; without the file the solver is
-as fast as ever.
+Run as a program with the path of the file before the ROS arguments. With 'slow' in it, a solve
+takes three times as long as its deadline allows; with 'broken', it fails.
 """
 
 from pathlib import Path
@@ -13,23 +13,29 @@ from herding_ros.control.solution import never, OutOfTime
 from herding_ros.model.state import HerdState
 from herding_ros.nodes.controller import main
 
-FLAG = Path(sys.argv[1])
+FILE = Path(sys.argv[1])
 quick_solve = RecedingHorizon.solve
 
 
-def slow_solve(
+def is_(illness: str) -> bool:
+    return FILE.exists() and FILE.read_text() == illness
+
+
+def ailing_solve(
     self: RecedingHorizon, state: HerdState, t: float, out_of_time: OutOfTime = never
 ) -> Window:
+    if is_('broken'):
+        raise ArithmeticError('the solver is broken')
     begun = time.monotonic()
     window = quick_solve(self, state, t, out_of_time)
-    while FLAG.exists() and not out_of_time():
+    while is_('slow') and not out_of_time():
         time.sleep(0.01)
     granted = time.monotonic() - begun
-    while FLAG.exists() and time.monotonic() < begun + 3.0 * granted:
+    while is_('slow') and time.monotonic() < begun + 3.0 * granted:
         time.sleep(0.01)
     return window
 
 
 if __name__ == '__main__':
-    RecedingHorizon.solve = slow_solve  # type: ignore[method-assign]
+    RecedingHorizon.solve = ailing_solve  # type: ignore[method-assign]
     sys.exit(main(sys.argv[2:]))

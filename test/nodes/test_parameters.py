@@ -1,0 +1,294 @@
+"""Every parameter of every node, by the services that `ros2 param` uses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType, ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+import rclpy
+from rclpy.parameter import Parameter, parameter_value_to_python
+from sensor_msgs.msg import PointCloud2
+
+from herding_ros.control.parameters import Control
+from herding_ros.model.parameters import Crowd, describe_limits, Parameters
+from herding_ros.model.simulation import Simulation, World
+from herding_ros.nodes import controller, messages, sim
+from herding_ros.nodes.controller import ControllerSettings
+from herding_ros.nodes.parameters import declare, declare_crowd, HerdingNode
+from herding_ros.nodes.sim import SimSettings
+
+Field = dataclasses.Field[Any]
+
+
+def fields(parameters: Parameters, prefix: str = '') -> Iterator[tuple[str, Field]]:
+    for field in dataclasses.fields(parameters):
+        value = getattr(parameters, field.name)
+        if isinstance(value, Parameters):
+            yield from fields(value, f'{prefix}{field.name}.')
+        else:
+            yield prefix + field.name, field
+
+
+CROWD = dict(fields(Crowd(), 'crowd.'))
+FIELDS: dict[str, dict[str, Field]] = {
+    'sim': {**CROWD, **dict(fields(World())), **dict(fields(SimSettings()))},
+    'controller': {**CROWD, **dict(fields(Control())), **dict(fields(ControllerSettings()))},
+    'recorder': {},
+}
+LIVE = {
+    'sim': {'real_time_factor', 'crowd.noise'},
+    'controller': {
+        *(f'weights.{name}' for name in ('centre', 'spread', 'control', 'dogs')),
+        *('crowd.noise', 'horizon.length', 'horizon.accepted', 'max_speed'),
+    },
+    'recorder': set(),
+}
+
+
+class Asker:
+    """Asks a node about its parameters, as `ros2 param` does."""
+
+    def __init__(self, peer: Any, node: str) -> None:
+        self._peer = peer
+        self._node = node
+
+    def call(self, kind: Any, **request: Any) -> Any:
+        name = kind.__name__
+        service = ''.join(f'_{letter.lower()}' if letter.isupper() else letter for letter in name)
+        return self._peer.call(kind, f'{self._node}/{service[1:]}', kind.Request(**request))
+
+    def names(self) -> list[str]:
+        return list(self.call(ListParameters).result.names)
+
+    def describe(self, names: list[str]) -> dict[str, ParameterDescriptor]:
+        answer = self.call(DescribeParameters, names=names).descriptors
+        assert [descriptor.name for descriptor in answer] == names
+        return dict(zip(names, answer, strict=True))
+
+    def values(self, names: list[str]) -> dict[str, Any]:
+        answer = self.call(GetParameters, names=names).values
+        return dict(zip(names, map(parameter_value_to_python, answer), strict=True))
+
+    def refusal(self, name: str, value: Any) -> str:
+        """Set one parameter; return the reason when it is refused, else nothing."""
+        (result,) = self.call(SetParameters, parameters=[message(name, value)]).results
+        assert result.successful == (not result.reason)
+        return str(result.reason)
+
+    def refusal_of_all(self, **values: Any) -> str:
+        """Set several at once; `__` stands for a dot."""
+        changes = [message(name.replace('__', '.'), value) for name, value in values.items()]
+        result = self.call(SetParametersAtomically, parameters=changes).result
+        assert result.successful == (not result.reason)
+        return str(result.reason)
+
+
+def message(name: str, value: Any) -> ParameterMessage:
+    return Parameter(name, value=value).to_parameter_msg()
+
+
+@pytest.fixture
+def asked(start: Callable[..., Any], peer: Any, tmp_path: Path) -> Callable[[str], Asker]:
+    """Start a node and return somebody who asks it."""
+
+    def ask(name: str) -> Asker:
+        start(name, **({'bag': tmp_path / 'bag'} if name == 'recorder' else {'dogs': 1}))
+        return Asker(peer, name)
+
+    return ask
+
+
+every_node = pytest.mark.parametrize('name', list(FIELDS))
+sim_and_controller = pytest.mark.parametrize('name', ['sim', 'controller'])
+
+
+@every_node
+def test_every_parameter_is_described(asked: Callable[[str], Asker], name: str) -> None:
+    node = asked(name)
+    found = node.describe(node.names())
+    assert set(FIELDS[name]) <= set(found)
+    for parameter, descriptor in found.items():
+        assert descriptor.description, f'{parameter} has no description'
+        assert descriptor.type != ParameterType.PARAMETER_NOT_SET
+        assert not descriptor.dynamic_typing
+        assert descriptor.read_only == (parameter not in LIVE[name]), parameter
+    for parameter, field in FIELDS[name].items():
+        meta, descriptor = field.metadata, found[parameter]
+        unit = f' [{meta["unit"]}]' if meta['unit'] else ''
+        assert descriptor.description == meta['doc'] + unit
+        assert descriptor.additional_constraints == describe_limits(field)
+        ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
+        assert len(ranges) == (meta['low'] is not None or meta['high'] is not None), parameter
+        for each in ranges:
+            assert each.from_value == meta['low']
+            assert each.to_value == meta['high'] or (meta['high'] is None and each.to_value > 1e18)
+
+
+@every_node
+def test_what_is_fixed_cannot_be_set(asked: Callable[[str], Asker], name: str) -> None:
+    """Not even to what it is."""
+    node = asked(name)
+    fixed = sorted(set(node.names()) - LIVE[name])
+    for parameter, value in node.values(fixed).items():
+        reason = node.refusal(parameter, value)
+        assert 'read-only' in reason
+        assert parameter in reason
+
+
+def wrong_values(field: Field) -> list[Any]:
+    """Return what a field refuses; a number without a point is none where one has a point."""
+    low, high = field.metadata['low'], field.metadata['high']
+    kind = type(field.default)
+    wrong: list[Any] = [[1.5, 2.5, 3.5]]
+    if kind is not str or field.metadata['choices']:
+        wrong.append('lions')
+    if kind is not bool:
+        wrong.append(True)
+    wrong.append(1.0 if kind is int else 1)
+    if kind is float:
+        wrong += [math.nan, math.inf, -math.inf]
+    if kind is tuple:
+        wrong += [[1.0], [1, 2], [math.nan, 0.0], [0.0, math.inf]]
+    wrong += [] if low is None else [low - 1]
+    wrong += [] if high is None else [high + 1]
+    return wrong
+
+
+@sim_and_controller
+def test_wrong_values_are_refused_while_it_runs(asked: Callable[[str], Asker], name: str) -> None:
+    node = asked(name)
+    names = sorted(LIVE[name])
+    before = node.values(names)
+    for parameter in names:
+        field = FIELDS[name][parameter]
+        for value in [*wrong_values(field), None]:
+            reason = node.refusal(parameter, value)
+            assert f'{parameter} is {value!r}, allowed is {describe_limits(field)}' in reason
+    assert node.values(names) == before
+    assert node.refusal('nonsense', 1.0) == f'{name} has no parameter nonsense'
+
+
+def written(value: Any) -> str:
+    """Return a value as one writes it in a command."""
+    if isinstance(value, list):
+        return f'[{", ".join(map(written, value))}]'
+    if isinstance(value, float) and not math.isfinite(value):
+        return f'{value}'.replace('nan', '.nan').replace('inf', '.inf')
+    return str(value).lower()
+
+
+@sim_and_controller
+def test_wrong_values_are_refused_at_the_start(domain: int, name: str) -> None:
+    """All of them, in this process: what a node does with the reason is tested with the node."""
+    for parameter, field in FIELDS[name].items():
+        for value in wrong_values(field):
+            if isinstance(value, list) and len({type(each) for each in value}) > 1:
+                continue
+            given = ['--ros-args', '-p', f'{parameter}:={written(value)}']
+            rclpy.init(args=given, domain_id=domain)
+            node = HerdingNode(name)
+            try:
+                with pytest.raises(ValueError, match='allowed is') as refusal:
+                    declare_all(node)
+            finally:
+                node.destroy_node()
+                rclpy.shutdown()
+            reason = str(refusal.value)
+            assert f'{parameter} is {value!r}, allowed is {describe_limits(field)}' in reason
+
+
+def declare_all(node: HerdingNode) -> None:
+    declare_crowd(node)
+    kinds: list[Parameters] = [World(), SimSettings()]
+    if node.get_name() == 'controller':
+        kinds = [ControllerSettings(), Control()]
+    for kind in kinds:
+        declare(node, kind)
+
+
+def test_the_live_ones_are_those_that_the_nodes_name() -> None:
+    for name, module in {'sim': sim, 'controller': controller}.items():
+        groups = tuple(entry for entry in module.LIVE if entry.endswith('.'))
+        named = {key for key in FIELDS[name] if key in module.LIVE or key.startswith(groups)}
+        assert named == LIVE[name]
+        assert all(any(key.startswith(entry) for key in named) for entry in module.LIVE)
+
+
+def test_what_does_not_go_together_is_refused(asked: Callable[[str], Asker]) -> None:
+    node = asked('controller')
+    names = ['horizon.length', 'horizon.accepted', 'weights.centre']
+    before = node.values(names)
+    too_long = 'accepted is 30.0, allowed is at most the length, 20.0'
+    assert too_long in node.refusal('horizon.accepted', 30.0)
+    assert 'at most the length, 5.0' in node.refusal('horizon.length', 5.0)
+    assert 'multiple of control_period' in node.refusal('horizon.length', 20.05)
+    assert too_long in node.refusal_of_all(weights__centre=1.0, horizon__accepted=30.0)
+    assert 'read-only' in node.refusal_of_all(weights__centre=1.0, dogs=1)
+    assert node.values(names) == before
+    assert node.refusal_of_all(horizon__length=5.0, horizon__accepted=4.0) == ''
+    assert node.values(names) == {**before, 'horizon.length': 5.0, 'horizon.accepted': 4.0}
+    assert 'accepted is 4.0' in node.refusal('horizon.length', 3.0)
+
+
+def test_what_was_refused_is_not_taken_with_the_next(asked: Callable[[str], Asker]) -> None:
+    node = asked('controller')
+    assert node.refusal('horizon.accepted', 30.0)
+    assert node.refusal('weights.centre', 2.0) == ''
+    assert node.refusal('horizon.length', 10.0) == ''
+    assert node.values(['horizon.accepted', 'weights.centre']) == {
+        'horizon.accepted': 10.0,
+        'weights.centre': 2.0,
+    }
+
+
+def test_noise_of_the_sim_changes_from_the_next_step_on(
+    start: Callable[..., Any], peer: Any
+) -> None:
+    start('sim', lockstep=True, sheep=3, dogs=1, seed=5)
+    node = Asker(peer, 'sim')
+    truth = peer.listen(PointCloud2, 'truth/sheep')
+    for kind, topic in [(PointCloud2, 'sheep'), (Odometry, 'dog_1/odom')]:
+        peer.listen(kind, topic)
+    commands = peer.talk_to(TwistStamped, 'dog_1/cmd_vel')
+    expected = Simulation(Crowd(), World(sheep=3, dogs=1, seed=5), np.array([0.5, 0.5]))
+    for k in range(6):
+        peer.spin_until(lambda k=k: len(truth) > k)  # type: ignore[misc]
+        seen = np.frombuffer(bytes(truth[k].data), np.float32).reshape(3, -1)[:, 1:3]
+        assert np.array_equal(seen, expected.state.x.astype(np.float32))
+        if k == 2:
+            assert node.refusal('crowd.noise', 0.2) == ''
+            expected.crowd = dataclasses.replace(expected.crowd, noise=0.2)
+        command = TwistStamped()
+        command.header.stamp = messages.stamp_of(k * 100_000_000)
+        command.header.frame_id = messages.dog_frame(1)
+        commands.publish(command)
+        expected.advance(np.zeros((1, 2)))
+
+
+@every_node
+def test_request_of_no_sense_kills_nobody(asked: Callable[[str], Asker], name: str) -> None:
+    node = asked(name)
+    names = node.names()
+    nonsense = ParameterMessage(name='use_sim_time', value=ParameterValue(type=99))
+    assert not node.call(SetParameters, parameters=[nonsense]).results
+    assert not node.call(SetParametersAtomically, parameters=[nonsense]).result.successful
+    assert not node.call(SetParametersAtomically, parameters=[]).result.reason
+    assert not node.call(DescribeParameters, names=['nonsense']).descriptors
+    assert not node.call(GetParameters, names=['nonsense', '']).values
+    assert node.names() == names
