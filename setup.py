@@ -31,6 +31,7 @@ setup(
             'controller = herding_ros.nodes.controller:main',
             'herd = herding_ros.nodes.herd:main',
             'recorder = herding_ros.nodes.recorder:main',
+            'recover = herding_ros.bag.cli:main',
             'report = herding_ros.report.cli:main',
             'sim = herding_ros.nodes.sim:main',
             'study = herding_ros.studies.cli:main',

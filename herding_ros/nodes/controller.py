@@ -35,7 +35,6 @@ from . import messages
 from .background import Work
 from .observations import Observations, Observed
 from .parameters import declare, declare_crowd, HerdingNode, NodeSettings
-from .refusals import Refusals
 from .rivals import sole_publisher
 from .running import (
     ADJUSTABLE,
@@ -109,7 +108,6 @@ class Controller(HerdingNode):
         self._estimator = Estimator(
             self._crowd, self._control.sensor, horizon.control_period, horizon.substeps
         )
-        self._refused = Refusals(self.get_logger())
         self._stopping = threading.Event()
         self._longest_step = 0.25 * self._settings.lead  # of the last solve [s]; a guess
         self._coming: Work[Playing] | None = None  # the plan that is being made

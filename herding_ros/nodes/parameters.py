@@ -20,6 +20,8 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.service import Service
+from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
 
 from herding_ros.model.parameters import (
     check,
@@ -30,6 +32,8 @@ from herding_ros.model.parameters import (
     quantity,
 )
 from herding_ros.model.scenario import GOAL
+
+from .refusals import Refusals, Refused
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +71,7 @@ class HerdingNode(Node):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
+        self._refused = Refusals(self.get_logger())
         self.joined = time.monotonic()
         """When other nodes could begin to be found [s]."""
         descriptor = ParameterDescriptor(
@@ -75,6 +80,24 @@ class HerdingNode(Node):
             read_only=True,
         )
         self.set_descriptor('use_sim_time', descriptor)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **options: Any
+    ) -> Subscription:
+        """Subscribe as any node does; but a time that is none does not reach rclpy's clock.
+
+        It would raise ValueError in the executor, and the node would end.
+        """
+        if msg_type is not Clock:
+            return super().create_subscription(msg_type, topic, callback, *args, **options)
+
+        def take(message: Clock) -> None:
+            try:
+                callback(message)
+            except (ValueError, OverflowError) as error:
+                self._refused.add(topic, Refused('no time', str(error)))
+
+        return super().create_subscription(msg_type, topic, take, *args, **options)
 
     def follow(
         self, declared: Sequence[tuple[str, Parameters]], take: Callable[..., None]

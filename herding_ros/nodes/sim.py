@@ -27,7 +27,7 @@ from herding_ros.model.warmup import warm_up
 from . import messages
 from .inbox import Inbox
 from .parameters import declare, declare_crowd, HerdingNode, NodeSettings
-from .refusals import Refusals, Refused
+from .refusals import Refused
 from .rivals import sole_publisher
 from .running import (
     ADJUSTABLE,
@@ -74,7 +74,6 @@ class Sim(HerdingNode):
         self.get_logger().info('loading kernels, which are compiled the first time')
         self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
         self._goal = np.array(self._settings.goal)
-        self._refused = Refusals(self.get_logger())
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._paused = False
         self._finished = False

@@ -420,6 +420,49 @@ def test_chunks_without_checksum_are_kept_up_to_the_damage(tmp_path: Path) -> No
     assert found[60:] == messages[len(messages) - len(found[60:]) :]
 
 
+def test_length_that_leads_past_chunks_hides_none(tmp_path: Path) -> None:
+    messages = some_messages(200)
+    write_bag(tmp_path / 'bag', messages).close()
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    ends = [end for end, _ in chunk_ends(file)]
+    data = bytearray(file.read_bytes())
+    # The index of the messages of the fifth chunk, with a length as if it were all up to where
+    # another record begins.
+    assert data[ends[4]] == 7
+    struct.pack_into('<Q', data, ends[4] + 1, ends[10] - ends[4] - 9)
+    file.write_bytes(data)
+    recover(tmp_path / 'bag')
+    assert read(tmp_path / 'bag') == messages
+
+
+@pytest.mark.parametrize('more', [1, 500, 1500, -1, -100])
+def test_chunk_of_a_wrong_length_costs_no_other(tmp_path: Path, more: int) -> None:
+    messages = some_messages(200)
+    write_bag(tmp_path / 'bag', messages).close()
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    with file.open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    start = summary.chunk_indexes[4].chunk_start_offset
+    data = bytearray(file.read_bytes())
+    (length,) = struct.unpack_from('<Q', data, start + 1)
+    struct.pack_into('<Q', data, start + 1, length + more)
+    file.write_bytes(data)
+    recover(tmp_path / 'bag')
+    assert read(tmp_path / 'bag') == messages[:40] + messages[50:]
+
+
+def test_topic_that_is_damaged_costs_no_other(tmp_path: Path) -> None:
+    messages = some_messages(200)
+    write_file(tmp_path / 'stock_0.mcap', messages, use_chunking=False)
+    data = (tmp_path / 'stock_0.mcap').read_bytes()
+    (tmp_path / 'stock_0.mcap').write_bytes(data.replace(b'/t1', b'/t\xff'))
+    (result,) = recover(tmp_path).results
+    expected = [message for message in messages if message[0] != '/t1']
+    assert read(tmp_path) == expected
+    assert result.lost_messages == 200 - len(expected)
+
+
 def test_index_that_lies_is_damage(tmp_path: Path) -> None:
     messages = some_messages(100)
     write_bag(tmp_path / 'bag', messages).close()

@@ -558,7 +558,7 @@ def recorded(storm: Storm) -> dict[str, str]:
 
 
 def test_a_long_run_takes_no_more_memory(start: Callable[..., Any], peer: Any) -> None:
-    """Of 15,000 control periods, each may leave 130 bytes."""
+    """15,000 control periods, each with its own turn of the executor, may leave 66 bytes each."""
     process = start('sim', sheep=3, dogs=1, real_time_factor=200.0)
     storm = Storm(peer, process, 'sim: herd')
 
@@ -572,4 +572,4 @@ def test_a_long_run_takes_no_more_memory(start: Callable[..., Any], peer: Any) -
     storm.wait_until(lambda: periods() > 3000, 60.0)  # more than the middleware keeps
     memory, begun = storm.memory(), periods()
     storm.wait_until(lambda: periods() > begun + 15_000, 60.0)
-    assert storm.memory() - memory < MEMORY
+    assert storm.memory() - memory < MEMORY / 2

@@ -297,6 +297,7 @@ def test_disk_that_fails_in_the_middle_leaves_a_bag_to_recover(
     with Counter(peer.node) as counter:
         peer.spin_until(lambda: int(status(diagnostics)[1].get('messages', 0)) > 1000)
         written = int(status(diagnostics)[1]['messages'])
+        peer.spin_for(2 * LOSS)
         largest_file(process, 10_000)  # less than it has already
         check_stopped(peer, process, counter, heard, diagnostics, bag)
     assert f'the bag is not complete: recover it by `ros2 run herding_ros recover {bag}`' in (
