@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ _POLICIES = {
 class Inspection:
     """What was found in a file.
 
-    faults: why it is not whole, empty if it is; damages: the bytes that make no whole record;
+    faults: why it is not whole, empty if it is; lost_bytes: those that make no whole record;
     schemas, channels: by their number in the file, but those that are only in chunks with a
     checksum; metadata: the last of rosbag2's maps in the file, as YAML; compression: of the
     first chunk, '', lz4 or zstd; profile: of the file's header, or ros2.
@@ -37,13 +37,19 @@ class Inspection:
 
     path: Path
     faults: list[str] = field(default_factory=list)
-    damages: list[Damage] = field(default_factory=list)
+    lost_bytes: int = 0
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: str = ''
     compression: str = ''
     profile: str = 'ros2'
     statistics: Statistics | None = None
+
+    def add_damages(self, place: str, damages: Sequence[Damage]) -> None:
+        """Take note of damages in the file, or in a chunk: then `place` says in which."""
+        for damage in damages:
+            self.lost_bytes += damage.end - damage.start
+            self.faults.append(f'{place}bytes {damage.start} to {damage.end}: {damage.reason}')
 
     def information(self) -> FileInformation:
         """Return what the file's own summary says of its messages, if the file is whole."""
@@ -68,11 +74,12 @@ def inspect(path: Path, progress: Callable[[int], None] = lambda position: None)
     found = Inspection(path)
     chunks: list[tuple[Any, ...]] = []
     indexed: list[tuple[Any, ...]] = []
+    damages: list[Damage] = []
     end = 0
     with path.open('rb') as stream:
         if not is_mcap(stream):
             raise ValueError(f'{path} is no mcap file')
-        for start, position, record in whole_records(stream, found.damages):
+        for start, position, record in whole_records(stream, damages):
             progress(position)
             if isinstance(record, Chunk):
                 chunks.append(_facts_of_chunk(start, position, record))
@@ -87,9 +94,7 @@ def inspect(path: Path, progress: Callable[[int], None] = lambda position: None)
                 _note(record, found)
         stream.seek(end)
         closed = end > 0 and stream.read(len(MCAP0_MAGIC) + 1) == MCAP0_MAGIC
-    found.faults += [
-        f'bytes {damage.start} to {damage.end}: {damage.reason}' for damage in found.damages
-    ]
+    found.add_damages('', damages)
     if not closed:
         found.faults.append('it has no end')
     elif found.statistics is None:
@@ -138,10 +143,7 @@ def _look_into(chunk: Chunk, start: int, found: Inspection) -> None:
     damages: list[Damage] = []
     for record in records_of(chunk, damages):
         _note(record, found)
-    found.faults += [
-        f'the chunk at byte {start}, bytes {damage.start} to {damage.end}: {damage.reason}'
-        for damage in damages
-    ]
+    found.add_damages(f'the chunk at byte {start}, ', damages)
 
 
 def _facts_of_chunk(start: int, end: int, chunk: Chunk) -> tuple[Any, ...]:

@@ -121,9 +121,9 @@ def _data_files(folder: Path) -> list[Path]:
     if not folder.is_dir():
         what = 'is a file; give the folder it is in' if folder.is_file() else 'does not exist'
         raise ValueError(f'{folder} {what}')
-    for broken in folder.glob('*.mcap' + BROKEN):  # an earlier recovery was ended half-way
+    for broken in (*folder.glob('*.mcap' + BROKEN), *folder.glob(FILE_NAME + BROKEN)):
         original = broken.with_name(broken.name.removesuffix(BROKEN))
-        if not original.exists():
+        if not original.exists():  # an earlier recovery was ended half-way
             broken.rename(original)
     paths = sorted(folder.glob('*.mcap'), key=_number)
     if not paths:
@@ -226,7 +226,7 @@ def _rewrite(
     return Result(
         copy.information,
         broken.faults,
-        sum(damage.end - damage.start for damage in broken.damages),
+        broken.lost_bytes,
         copy.lost,
         kept,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 import os
 from pathlib import Path
+import shutil
 from types import TracebackType
 from typing import Any
 
@@ -68,7 +69,7 @@ class BagWriter:
         try:
             self._open_part()
         except OSError as error:
-            self.path.rmdir()
+            shutil.rmtree(self.path)
             raise type(error)(f'cannot write the bag {self.path}: {error.strerror}') from error
 
     def __enter__(self) -> BagWriter:

@@ -358,8 +358,8 @@ class Controller(HerdingNode):
     def _estimated(self, observed: Observed) -> Observed:
         """Return what is believed after an observation; each counts once."""
         last = self._estimate
-        if last is None or (observed.sheep_ns, observed.dogs) != (last.sheep_ns, last.dogs):
-            t = observed.sheep_ns * 1e-9
+        if last is None or (observed.ns, observed.dogs) != (last.ns, last.dogs):
+            t = observed.ns * 1e-9
             state = self._estimator.update(
                 t, observed.ids, observed.state, self._told, observed.dogs
             )

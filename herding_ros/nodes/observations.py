@@ -21,14 +21,12 @@ from .running import ADJUSTABLE
 
 @dataclass(frozen=True)
 class Observed:
-    """The sheep and the dogs in sight at ns, which is the stamp of the oldest message.
+    """The sheep and the dogs in sight at ns, which is the stamp of the sheep.
 
-    ids: (N,) names of the sheep; dogs: indices of the dogs in the state, from 0;
-    sheep_ns: stamp of the sheep.
+    ids: (N,) names of the sheep; dogs: indices of the dogs in the state, from 0.
     """
 
     ns: int
-    sheep_ns: int
     ids: NDArray[np.integer]
     state: HerdState
     dogs: tuple[int, ...]
@@ -107,7 +105,5 @@ class Observations:
         return self._observed(self._flock, dogs)
 
     def _observed(self, flock: messages.Sheep, dogs: tuple[int, ...]) -> Observed:
-        places = [self._places[m] for m in dogs]
-        state = HerdState(flock.x, flock.v, np.array([place for _, place in places]))
-        oldest = min(flock.ns, *(ns for ns, _ in places))
-        return Observed(oldest, flock.ns, flock.ids, state, dogs)
+        places = np.array([self._places[m][1] for m in dogs])
+        return Observed(flock.ns, flock.ids, HerdState(flock.x, flock.v, places), dogs)

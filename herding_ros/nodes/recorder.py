@@ -87,12 +87,10 @@ class Recorder(Node):
             'topics', [''], 'Full names of the topics to record; none, or an empty one: all.'
         )
         self.max_size = self._declare(
-            'max_bag_size', 0, 'A file of the bag is followed by another at this size; 0: never.'
+            'max_bag_size', 0, 'Bytes after which the bag goes on in another file; 0: never.'
         )
         self.max_duration = self._declare(
-            'max_bag_duration',
-            0,
-            'A file of the bag is followed by another after this time; 0: never.',
+            'max_bag_duration', 0, 'Seconds after which the bag goes on in another file; 0: never.'
         )
         self._chosen = {topic for topic in topics if topic}
         self._taps: dict[str, Tap] = {}

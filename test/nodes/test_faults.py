@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 import math
 from pathlib import Path
 import random
@@ -19,6 +20,11 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from herding_ros.control.closed_loop import closed_loop
+from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
+from herding_ros.model.flock import distance, spread
+from herding_ros.model.parameters import Crowd
+from herding_ros.model.simulation import World
 from herding_ros.nodes import messages
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -308,3 +314,30 @@ def test_noisy_observations_are_filtered(start: Callable[..., Any], peer: Any) -
     start('controller', **CONTROLLER, **noise)
     meadow = Meadow(peer)
     meadow.run_until(meadow.arrived)
+
+
+def test_filter_in_lockstep_is_that_of_the_loop_without_ros(
+    start: Callable[..., Any], peer: Any
+) -> None:
+    noise = {'position_noise': 0.05, 'velocity_noise': 0.05}
+    control = Control(
+        horizon=Horizon(length=4.0, accepted=2.0),
+        mapping=Mapping(paths=20),
+        sensor=Sensor(**noise),
+    )
+    world = World(sheep=8, dogs=2, seed=3, **noise)
+    expected = closed_loop(Crowd(), world, control, np.array([0.5, 0.5]), 5.0)
+    meadow = Meadow(peer, dogs=2)
+    start('sim', lockstep=True, sheep=8, dogs=2, seed=3, time_limit=5.0, **noise)
+    start(
+        'controller', lockstep=True, dogs=2, seed=3, mapping__paths=20, horizon__length=4.0,
+        horizon__accepted=2.0, sensor__position_noise=0.05, sensor__velocity_noise=0.05,
+    )  # fmt: skip
+    meadow.run_until(lambda: meadow.said('sim: herd').get('finished') == 'True')
+    sim = meadow.said('sim: herd')
+    assert float(sim['time_s']) == expected.t[-1]
+    goal = np.array([0.5, 0.5])
+    assert sim['distance_m'] == f'{distance(expected.x[-1], goal):.6g}'
+    assert sim['spread_m'] == f'{spread(expected.x[-1]):.6g}'
+    unfiltered = closed_loop(Crowd(), world, replace(control, sensor=Sensor()), goal, 5.0)
+    assert sim['distance_m'] != f'{distance(unfiltered.x[-1], goal):.6g}'

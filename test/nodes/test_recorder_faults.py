@@ -25,10 +25,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
-from shape_msgs.msg import Plane
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from stereo_msgs.msg import DisparityImage
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import Marker
 import yaml
 
 NUMBERS = '/numbers'
@@ -553,8 +553,8 @@ def takes_signals(pid: int) -> bool:
 
 
 BROKEN_PACKAGES = {
-    'shape_msgs': 'raise RuntimeError("broken on import")',
-    'stereo_msgs': 'class DisparityImage: pass',  # that ROS knows nothing of
+    'visualization_msgs': 'raise RuntimeError("broken on import")',
+    'trajectory_msgs': 'class JointTrajectory: pass',  # that ROS knows nothing of
 }
 
 
@@ -567,11 +567,11 @@ def test_topics_of_broken_packages_are_left_out(
         (folder.parent / '__init__.py').touch()
         (folder / '__init__.py').write_text(source)
     monkeypatch.setenv('PYTHONPATH', str(tmp_path / 'broken'), prepend=':')
-    peer.node.create_publisher(Plane, '/plane', 10)
-    peer.node.create_publisher(DisparityImage, '/image', 10)
+    peer.node.create_publisher(Marker, '/marker', 10)
+    peer.node.create_publisher(JointTrajectory, '/joints', 10)
     process = start('recorder', bag=tmp_path / 'bag')
-    process.wait_for('/plane is not recorded: broken on import')
-    process.wait_for('/image is not recorded')
+    process.wait_for('/marker is not recorded: broken on import')
+    process.wait_for('/joints is not recorded')
     with Counter(peer.node) as counter:
         peer.spin_until(lambda: counter.publisher.get_subscription_count() > 0)
         peer.spin_for(0.5)
@@ -579,4 +579,4 @@ def test_topics_of_broken_packages_are_left_out(
     assert process.log.count('is not recorded') == 2
     assert len(numbers_in(tmp_path / 'bag')) > 100
     with AnyReader([tmp_path / 'bag']) as reader:
-        assert not {'/plane', '/image'} & set(reader.topics)
+        assert not {'/marker', '/joints'} & set(reader.topics)
