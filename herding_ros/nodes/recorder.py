@@ -8,8 +8,6 @@ subscriptions.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import partial
 from importlib import import_module
 import json
 from operator import attrgetter
@@ -27,8 +25,6 @@ from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
-from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
 from .. import __version__
@@ -37,7 +33,8 @@ from ..bag.metadata import advice
 from ..bag.part import LAST_TIME_NS
 from ..bag.writer import BagWriter
 from .parameter_query import ParameterQuery
-from .refusals import Refusals
+from .parameters import HerdingNode
+from .refusals import Refused
 from .running import CLOCK, start_ros
 from .tap import Received, Tap
 from .topic_qos import adapted_qos, asks_more, qos_map
@@ -65,7 +62,7 @@ DEPTH = 10_000
 """Messages that a subscription holds between two rounds: by far more than a burst brings."""
 
 
-class Recorder(Node):
+class Recorder(HerdingNode):
     """Records topics into a bag from the moment they appear.
 
     When the disk refuses, it closes the bag and goes on as if paused, for good: who publishes
@@ -103,11 +100,9 @@ class Recorder(Node):
         self._wall_time_ns = 0
         self._bytes = 0
         self._lost = 0
-        self._refused = Refusals(self.get_logger())
         self._paused = False
         self._failure = ''  # why nothing is written any more
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        _survive_wrong_clocks(self)
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/resume', self._on_resume)
 
@@ -286,11 +281,10 @@ class Recorder(Node):
 
     def _follow_clock(self, data: bytes) -> None:
         try:
-            seconds, nanoseconds = Reader(data).numbers('iI')
-        except ValueError as error:
+            clock_ns = _clock_ns(data)
+        except Refused as error:
             self._refused.add(CLOCK, error)  # as a clock: it is recorded
             return
-        clock_ns = max(seconds * 1_000_000_000 + nanoseconds, 0)
         # A reset of the simulation takes its clock back; a bag whose times went back as well
         # would play both runs at once.
         last_ns = 0 if self._clock_ns is None else self._clock_ns
@@ -386,16 +380,12 @@ def _message_type(name: str) -> Any:
         ) from error
 
 
-def _survive_wrong_clocks(node: Node) -> None:
-    """Keep rclpy's own listener to /clock from ending the node when a time is negative."""
-    for subscription in node.subscriptions:
-        if subscription.topic_name == CLOCK:
-            subscription.callback = partial(_take_if_right, subscription.callback)
-
-
-def _take_if_right(take: Callable[[ClockMessage], None], message: ClockMessage) -> None:
-    with suppress(ValueError, OverflowError):
-        take(message)
+def _clock_ns(data: bytes) -> int:
+    """Return the time [ns] in a serialised /clock message; raises Refused when it is none."""
+    seconds, nanoseconds = Reader(data).numbers('iI')
+    if seconds < 0 or nanoseconds >= 1_000_000_000:
+        raise Refused('no time', f'{seconds} s and {nanoseconds} ns are no time')
+    return int(seconds * 1_000_000_000 + nanoseconds)
 
 
 if __name__ == '__main__':

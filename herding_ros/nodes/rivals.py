@@ -18,8 +18,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from .parameters import HerdingNode
 from .running import CannotGoOnError
 
-DISCOVERY = 1.0
-"""Time in which a node finds those that were there before, whatever else the machine does [s]."""
+DISCOVERY = 0.6
+"""Time in which a node finds those that were there before, nearly always [s]."""
 
 PATIENCE = 3.0
 """Time in which another node that is about to end is gone [s]."""
