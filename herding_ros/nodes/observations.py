@@ -15,7 +15,7 @@ from herding_ros.model.state import Array, HerdState
 
 from . import messages
 from .inbox import Inbox
-from .refusals import Refusals
+from .refusals import Refusals, Refused
 from .running import ADJUSTABLE
 
 
@@ -67,7 +67,7 @@ class Observations:
         for data, _ in self._sheep.take():
             try:
                 flock = messages.sheep_in(data, self._frame, self._most_sheep)
-                self._check_stamp(flock.ns, now)
+                self._check_stamp(flock.ns, now, self._flock.ns if self._flock else 0)
                 self._flock = flock
             except ValueError as error:
                 self._refused.add('sheep', error)
@@ -75,15 +75,18 @@ class Observations:
             for data, _ in inbox.take():
                 try:
                     ns, place, heading = messages.dog_in(data, self._frame)
-                    self._check_stamp(ns, now)
+                    self._check_stamp(ns, now, self._places[m][0] if m in self._places else 0)
                     self._places[m] = ns, place
                     self.headings[m] = heading
                 except ValueError as error:
                     self._refused.add(f'dog_{m + 1}/odom', error)
 
-    def _check_stamp(self, ns: int, now: int | None) -> None:
-        if now is not None:
-            messages.check_stamp(ns, now, self._timeout, self._timeout)
+    def _check_stamp(self, ns: int, now: int | None, last: int) -> None:
+        if now is None:
+            return
+        messages.check_stamp(ns, now, self._timeout, self._timeout)
+        if ns < last:
+            raise Refused('overtaken', 'a newer one has come before it')
 
     def answerable(self) -> Observed | None:
         """Return the herd when all messages have the same stamp, and each stamp only once."""

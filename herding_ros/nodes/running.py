@@ -57,6 +57,9 @@ class CountingPublisher(Publisher):
         self.count += 1
 
 
+_TURN = 0.2
+"""Time after which a node that has nothing to do looks whether it shall end [s]."""
+
 _FAREWELL = 1.0
 """Time in which the last messages are delivered before a node goes [s]."""
 
@@ -108,7 +111,8 @@ def _run(make_node: Callable[[], HerdingNode], args: list[str] | None) -> int:
     executor.add_node(node)
     code = 0
     try:
-        executor.spin_until_future_complete(ended)
+        while not ended.done():  # spin_until_future_complete keeps something of every turn
+            executor.spin_once(timeout_sec=_TURN)
     except CannotGoOnError as reason:
         node.get_logger().fatal(f'ending: {reason}')
         code = 2

@@ -1,0 +1,98 @@
+"""Who can hear the nodes: this machine, unless one says otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+from typing import Any
+
+import psutil
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+
+
+@pytest.mark.parametrize(('given', 'expected'), [(None, 'LOCALHOST'), ('OFF', 'OFF')])
+def test_herd_keeps_its_children_on_this_machine(
+    start: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    given: str | None,
+    expected: str,
+) -> None:
+    """Unless the user has chosen another range."""
+    monkeypatch.delenv(RANGE)
+    if given:
+        monkeypatch.setenv(RANGE, given)
+    process = start('herd', '--real-time', '2', '--out', str(tmp_path / 'out'))
+    process.wait_for('starting the nodes')
+    children = psutil.Process(process.process.pid).children()
+    assert len(children) == 3
+    assert [child.environ()[RANGE] for child in children] == [expected] * 3
+    process.end()
+
+
+def test_the_environment_of_the_scripts_is_this_machine() -> None:
+    script = f'. {ROOT}/scripts/env 2>/dev/null; echo ${RANGE}'
+    said = subprocess.run(['bash', '-c', script], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == 'LOCALHOST'
+
+
+# Two network namespaces with a cable between them; the sim in the one, a stranger in the other.
+TWO_MACHINES = """
+set -e
+ip link set lo up
+ip link add here type veth peer name there
+unshare -n sleep 60 & other=$!
+until [ "$(readlink /proc/$other/ns/net)" != "$(readlink /proc/self/ns/net)" ]; do sleep 0.01; done
+on_the_other() { nsenter -t $other -n "$@"; }
+ip link set there netns $other
+ip addr add 10.9.9.1/24 dev here
+ip link set here up
+ip route add default dev here
+on_the_other ip link set lo up
+on_the_other ip addr add 10.9.9.2/24 dev there
+on_the_other ip link set there up
+on_the_other ip route add default dev there
+"$PYTHON" -m herding_ros.nodes.sim >&2 & sim=$!
+ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET on_the_other "$PYTHON" -c "$STRANGER"
+kill $sim
+wait $sim
+kill $other
+"""
+STRANGER = """
+import time, rclpy
+rclpy.init()
+node = rclpy.create_node('stranger')
+end = time.monotonic() + 12.0
+while not (seen := node.count_publishers('/sheep')) and time.monotonic() < end:
+    time.sleep(0.05)
+print('seen' if seen else 'not seen')
+"""
+
+
+def can_have_two_machines() -> bool:
+    """Whether this user may make networks of his own."""
+    if not all(shutil.which(program) for program in ('unshare', 'nsenter', 'ip')):
+        return False
+    make = ['unshare', '-rn', 'ip', 'link', 'add', 'here', 'type', 'veth', 'peer', 'name', 'there']
+    return subprocess.run(make, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.skipif(not can_have_two_machines(), reason='needs the right to make a network')
+@pytest.mark.parametrize(('reach', 'what'), [('LOCALHOST', 'not seen'), ('SUBNET', 'seen')])
+def test_another_machine_sees_the_nodes_only_on_request(
+    monkeypatch: pytest.MonkeyPatch, domain: int, reach: str, what: str
+) -> None:
+    """Over real sockets; that SUBNET is seen shows that there is something to see."""
+    monkeypatch.setenv(RANGE, reach)
+    monkeypatch.setenv('PYTHON', sys.executable)
+    monkeypatch.setenv('STRANGER', STRANGER)
+    command = ['unshare', '-rn', 'bash', '-c', TWO_MACHINES]
+    said = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120.0)
+    assert said.stdout.strip() == what, said.stderr
+    assert 'herding 30 sheep' in said.stderr
