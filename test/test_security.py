@@ -48,13 +48,9 @@ def dangers(source: str) -> Iterator[str]:
         yield from MODULES & {name.split('.')[0] for name in names}
 
 
-def test_there_are_sources() -> None:
-    assert ROOT / 'herding_ros' / 'nodes' / 'recorder.py' in SOURCES
-
-
-@pytest.mark.parametrize('path', SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_data_stays_data(path: Path) -> None:
-    assert list(dangers(path.read_text(encoding='utf-8'))) == []
+def test_data_stays_data() -> None:
+    found = {str(path): list(dangers(path.read_text(encoding='utf-8'))) for path in SOURCES}
+    assert {path: names for path, names in found.items() if names} == {}
 
 
 @pytest.mark.parametrize(
@@ -71,4 +67,5 @@ def test_data_stays_data(path: Path) -> None:
 )
 def test_dangers_are_found(source: str) -> None:
     """Guards the test above."""
+    assert ROOT / 'herding_ros' / 'nodes' / 'recorder.py' in SOURCES
     assert len(list(dangers(source))) == 1

@@ -209,7 +209,7 @@ def test_solving_does_not_hold_up_the_commands(
 ) -> None:
     """While a long solve runs in the background, commands of the old plan keep coming."""
     start(
-        'controller', dogs=2, lead=1.0, mapping__paths=4000, mapping__accuracy=1e-9,
+        'controller', dogs=2, lead=4.0, mapping__paths=4000, mapping__accuracy=1e-9,
         mapping__max_iterations=12,
     )  # fmt: skip
     pasture = Pasture(peer, herd)

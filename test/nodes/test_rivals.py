@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from herding_ros.nodes import rivals
+from herding_ros.nodes.running import CannotGoOnError
 
 BLIND = Path(__file__).with_name('blind.py')
 SMALL: dict[str, dict[str, Any]] = {'sim': {'sheep': 3, 'dogs': 1}, 'controller': {'dogs': 1}}
@@ -117,3 +119,41 @@ def test_one_that_is_ending_is_waited_for(start: Callable[..., Any], peer: Any, 
     second.wait_for(f'waiting for node /{name} to go')
     assert first.end() == 0
     second.wait_for({'sim': 'herding', 'controller': 'ready to herd'}[name])
+
+
+class Clockwork:
+    """Stands for time and for a node that sees a rival from `begin` [s] on."""
+
+    def __init__(self, rival: list[int], begin: float) -> None:
+        self.now = 0.0
+        self._rival = rival
+        self._begin = begin
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def get_publishers_info_by_topic(self, _: str) -> list[SimpleNamespace]:
+        gids = [[5]] + ([self._rival] if self.now >= self._begin else [])
+        return [
+            SimpleNamespace(endpoint_gid=gid, node_namespace='/', node_name='n') for gid in gids
+        ]
+
+
+@pytest.mark.parametrize(
+    ('rival', 'begin', 'patience'),
+    [([4], 1.0, 0), ([6], 1.0, 1), ([4], 10.0, 2), ([6], 10.0, 3)],
+    ids=['newcomer', 'newcomer with the lower number', 'first', 'first with the lower number'],
+)
+def test_who_was_first_waits_longest(
+    monkeypatch: pytest.MonkeyPatch, rival: list[int], begin: float, patience: int
+) -> None:
+    """No two rivals have the same patience, so that one of them always stays."""
+    world = Clockwork(rival, begin)
+    monkeypatch.setattr(rivals, 'time', world)
+    watch = rivals._Watch(world, '/plan', [5])  # type: ignore[arg-type]
+    with pytest.raises(CannotGoOnError):
+        for _ in range(100):
+            world.now += rivals.LOOK_PERIOD
+            watch.look()
+    waited = world.now - begin - patience * rivals.PATIENCE
+    assert 0.0 < waited <= 2.0 * rivals.LOOK_PERIOD

@@ -7,6 +7,7 @@ from pathlib import Path
 import shutil
 import subprocess
 import sys
+import time
 from typing import Any
 
 import psutil
@@ -29,9 +30,11 @@ def test_herd_keeps_its_children_on_this_machine(
     if given:
         monkeypatch.setenv(RANGE, given)
     process = start('herd', '--real-time', '2', '--out', str(tmp_path / 'out'))
-    process.wait_for('starting the nodes')
-    children = psutil.Process(process.process.pid).children()
-    assert len(children) == 3
+    herd = psutil.Process(process.process.pid)
+    process.wait_for('output in')
+    end = time.monotonic() + 30.0
+    while len(children := herd.children()) < 3:
+        assert time.monotonic() < end, process.log
     assert [child.environ()[RANGE] for child in children] == [expected] * 3
     process.end()
 
