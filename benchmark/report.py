@@ -59,6 +59,7 @@ def section(results: Results) -> str:
         optimiser=tables.optimiser(results),
         replan=tables.replan(results),
         herd=tables.herd(results),
+        jitter=tables.jitter(results),
         memory=tables.memory(results),
     )
 

@@ -142,6 +142,20 @@ def replan(results: Results) -> str:
     return table(head, map(row, results.of('replan')))
 
 
+def jitter(results: Results) -> str:
+    """Return how far the time between two commands is from the control period."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        times = (entry[key] for key in ('period_ms', 'p50_ms', 'p99_ms', 'max_ms'))
+        counts = (str(entry['plans']), str(entry['missed']))
+        return (str(entry['factor']), f'{entry["simulated"]:g}', *map(significant, times), *counts)
+
+    head = ('times real time', 'simulated s', 'control period [ms]', 'p50 [ms]', 'p99 [ms]')
+    return table(
+        (*head, 'largest [ms]', 'plans', 'deadlines missed'), map(row, results.of('jitter'))
+    )
+
+
 def herd(results: Results) -> str:
     """Return the runs of the whole system."""
     columns = 'simulated', 'wall', 'factors', 'seconds'

@@ -79,12 +79,10 @@ class Meadow:
         self.peer.spin_until(condition, limit)
 
 
-def first_standstill(odometry: list[Odometry], after: float) -> float:
-    """Time of the first message after `after` [s] in which the dog stands and stays so."""
-    later = [message for message in odometry if seconds(message) > after]
-    moving = [seconds(m) for m in later if math.hypot(
-        m.twist.twist.linear.x, m.twist.twist.linear.y) > 0.0]  # fmt: skip
-    return max(moving, default=after)
+def last_run(odometry: list[Odometry]) -> float:
+    """Time of the last message in which the dog moves [s]."""
+    velocities = [(message, message.twist.twist.linear) for message in odometry]
+    return max(seconds(message) for message, v in velocities if math.hypot(v.x, v.y) > 0.0)
 
 
 def test_killed_controller_stops_the_dogs_and_a_new_one_brings_them_home(
@@ -93,14 +91,15 @@ def test_killed_controller_stops_the_dogs_and_a_new_one_brings_them_home(
     start('sim', command_timeout=0.5, **SIM)
     first = start('controller', **CONTROLLER)
     meadow = Meadow(peer)
-    meadow.run_until(meadow.dogs_run)
+    commands = Commands(peer, meadow)
+    meadow.run_until(lambda: meadow.dogs_run() and all(commands.heard))
     first.process.kill()
     first.process.wait()
-    killed = meadow.now()
     meadow.run_until(meadow.dogs_stand)
-    # The last command may have been on its way, for at most one tick of the sim.
-    for heard in meadow.truth:
-        assert first_standstill(heard, killed) - killed <= 0.5 + 0.2
+    # The last command may have been on its way for a tick of the sim or two.
+    for told, heard in zip(commands.heard, meadow.truth, strict=True):
+        last = seconds(told[-1])
+        assert last_run(heard) - last <= 0.5 + 0.3
     stood = meadow.now()
     meadow.plans.clear()
     start('controller', **CONTROLLER)
@@ -241,11 +240,11 @@ class Commands:
 def test_each_plan_begins_exactly_at_its_window(start: Callable[..., Any], peer: Any) -> None:
     meadow = Meadow(peer)
     commands = Commands(peer, meadow)
-    start('sim', **{**SIM, 'real_time_factor': 10.0, 'stop_on_arrival': False})
-    start('controller', **{**CONTROLLER, 'lead': 5.0})
-    meadow.run_until(lambda: meadow.now() > 60.0)
+    start('sim', **{**SIM, 'stop_on_arrival': False})
+    start('controller', **{**CONTROLLER, 'lead': 8.0})
+    meadow.run_until(lambda: meadow.now() > 50.0)
     begins = [seconds(plan) for plan in meadow.plans]
-    assert len(begins) >= 5
+    assert len(begins) >= 4
     assert np.diff(begins) == pytest.approx(10.0, abs=1e-6)
     told = commands.at()
     assert len(told) > 300

@@ -1,0 +1,31 @@
+"""Five simulated minutes of a large flock: nothing is lost and nothing grows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sys
+
+import pytest
+from rich.console import Console
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from benchmark.endurance import endure  # noqa: E402
+
+PERIODS = 3000
+
+
+@pytest.mark.usefixtures('domain')
+@pytest.mark.timeout(400)
+def test_five_minutes(tmp_path: Path) -> None:
+    endured = endure(tmp_path, 0.1 * PERIODS, 100, 6, None, Console(quiet=True))
+    assert endured.simulated[-1] > 0.09 * PERIODS
+    assert endured.lost == {}
+    # sheep, clock, and odometry and commands of six dogs, observed and true
+    assert endured.messages > PERIODS * (2 + 1 + 6 * 3)
+    assert len(endured.margins) == 31
+    for node in endured.memory:
+        growth, _ = endured.growth(node)
+        # Less than a message in ten that is kept for ever: 2.8 kB of sheep in each period.
+        assert growth < 0.1 * PERIODS * 2.8e-3 * 2 / 3 + 1.0, endured.memory[node]
