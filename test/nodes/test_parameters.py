@@ -291,4 +291,4 @@ def test_request_of_no_sense_kills_nobody(asked: Callable[[str], Asker], name: s
     assert not node.call(SetParametersAtomically, parameters=[]).result.reason
     assert not node.call(DescribeParameters, names=['nonsense']).descriptors
     assert not node.call(GetParameters, names=['nonsense', '']).values
-    assert node.names() == names
+    assert set(names) <= set(node.names())  # subscriptions may have come with theirs
