@@ -57,7 +57,8 @@ def recorder_rows() -> Iterator[Row]:
         name, default, meaning = call.args
         if isinstance(default, ast.Call):  # a name made from the time
             default = default.args[0]
-        allowed = 'texts' if isinstance(default, ast.List) else 'a text'
+        kinds = {list: 'texts', str: 'a text', int: 'an integer of at least 0'}
+        allowed = kinds[type(ast.literal_eval(default))]
         unquoted = ast.unparse(default).strip("'")
         yield ast.literal_eval(name), f'`{unquoted}`', '', allowed, ast.literal_eval(meaning)
 
@@ -115,7 +116,9 @@ def test_the_parameter_tables_are_those_of_the_code() -> None:
 
 
 def test_the_recorder_has_the_parameters_that_the_table_looks_for() -> None:
-    assert [row[0] for row in recorder_rows()] == ['bag', 'topics']
+    assert [row[0] for row in recorder_rows()] == [
+        *('bag', 'topics', 'max_bag_size', 'max_bag_duration')
+    ]
 
 
 def test_local_links_lead_somewhere() -> None:
