@@ -274,6 +274,10 @@ def main(args: list[str] | None = None) -> int:
             child.end()
         watcher.destroy_node()
         rclpy.shutdown()
+    recorder = children[0]
+    if recorder.process.returncode == 1:  # it has told the full disk, and gone on
+        console.print('the bag is not complete:', style='red')
+        console.print(recorder.last_words(), markup=False, soft_wrap=True)
     if (options.out / 'bag').exists():
         try:
             write_report(options.out / 'bag', options.out, console)

@@ -63,7 +63,7 @@ _P = TypeVar('_P', bound=Parameters)
 class HerdingNode(Node):
     """A node whose parameters and services take nothing that they should not.
 
-    Sim and controller are of this kind.
+    Sim, controller and recorder are of this kind.
     """
 
     _followed: tuple[tuple[str, Parameters], ...] = ()

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 import itertools
 import os
 from pathlib import Path
@@ -127,11 +128,18 @@ class Peer:
         return publisher
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Return the answer of a service, which is asked once more when none comes.
+
+        A server may be ready for requests before its answers reach the client.
+        """
         client = self.node.create_client(kind, service)
         self.spin_until(client.service_is_ready)
-        future = client.call_async(request)
-        self.spin_until(future.done)
-        return future.result()
+        for _ in range(3):
+            future = client.call_async(request)
+            with suppress(AssertionError):
+                self.spin_until(future.done, LIMIT / 3)
+                return future.result()
+        raise AssertionError(f'{service} does not answer')
 
     def close(self) -> None:
         self.node.destroy_node()
