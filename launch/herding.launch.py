@@ -3,9 +3,14 @@
 from datetime import datetime
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
+from launch.substitutions import (
+    EnvironmentVariable,
+    LaunchConfiguration,
+    PathJoinSubstitution,
+    PythonExpression,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -106,4 +111,7 @@ def generate_launch_description() -> LaunchDescription:
             condition=IfCondition(LaunchConfiguration('rviz')),
         ),
     ]
-    return LaunchDescription([*arguments, *nodes])
+    # Traffic stays on this machine, unless the user wants it otherwise.
+    network = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+    stay = SetEnvironmentVariable(network, EnvironmentVariable(network, default_value='LOCALHOST'))
+    return LaunchDescription([stay, *arguments, *nodes])
