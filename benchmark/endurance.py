@@ -37,6 +37,9 @@ CONTROL_PERIOD = 0.1
 WARM_UP = 0.1
 """Part of a run that is not judged: caches fill, the recorder learns the topics."""
 
+_FILE_SIZE = 50_000_000
+"""Size of a file of the bag [byte]. The index of an open file is kept in memory."""
+
 _SAMPLE_PERIOD = 1.0
 _PUBLISHED = re.compile(r'(\d+) on (/[\w/]+)')
 
@@ -91,11 +94,12 @@ def endure(
     shared: dict[str, object] = {'dogs': dogs, 'lockstep': lockstep, 'wait_for': 'recorder'}
     sim: dict[str, object] = {**shared, 'sheep': sheep, 'time_limit': seconds}
     controller: dict[str, object] = {**shared, 'use_sim_time': not lockstep}
+    recorder = {'bag': out / 'bag', 'use_sim_time': True, 'max_bag_size': _FILE_SIZE}
     if real_time is not None:
         sim['real_time_factor'] = real_time
         controller['lead'] = max(2.0, 0.5 * real_time)
     children = [
-        Child('recorder', {'bag': out / 'bag', 'use_sim_time': True}, out),
+        Child('recorder', recorder, out),
         Child('controller', controller, out),
         Child('sim', sim, out),
     ]

@@ -21,8 +21,14 @@ from .running import CannotGoOnError
 DISCOVERY = 0.6
 """Time in which a node finds those that were there before, nearly always [s]."""
 
-PATIENCE = 3.0
+PATIENCE = 2.0
 """Time in which another node that is about to end is gone [s]."""
+
+CLAIM = 4.0
+"""Time by which an active node waits longer for another to go than one with less of a claim [s].
+
+More than PATIENCE: one that is being refused may have been active for a moment.
+"""
 
 LOOK_PERIOD = 0.5
 """Time between two looks for rivals of an active node [s]."""
@@ -70,9 +76,9 @@ class _Watch:
         if self._since is None:
             self._since = now
             return
-        was_first = self._since > self._begun + PATIENCE
+        was_first = self._since > self._begun + CLAIM
         is_lower = all(self._mine < info.endpoint_gid for info in others)
-        if now > self._since + PATIENCE * (2 * was_first + is_lower):
+        if now > self._since + CLAIM * (2 * was_first + is_lower):
             raise CannotGoOnError(f'{_name(others[0])} publishes {self._topic} as well; {_ADVICE}')
 
 

@@ -69,13 +69,13 @@ def test_of_two_active_ones_the_first_stays(
 ) -> None:
     one = start(name, **SMALL[name])
     peer.spin_until(is_active(peer, name))
-    peer.spin_for(rivals.PATIENCE + 1.0)
+    peer.spin_for(rivals.CLAIM + 1.0)
     other = start(name, name, program=BLIND, **SMALL[name])
     peer.spin_until(lambda: other.process.poll() is not None)
     assert other.wait() == 2
     assert f'ending: node /{name} publishes /{SOLE_TOPIC[name]} as well' in other.log
     assert 'Traceback' not in other.log
-    peer.spin_for(2.0 * rivals.PATIENCE)
+    peer.spin_for(2.0 * rivals.CLAIM)
     assert one.process.poll() is None, one.log
     assert peer.node.count_publishers(MOVES[name]) == 1
 
@@ -92,7 +92,7 @@ def test_of_two_that_start_together_one_stays(
     assert gone.wait() == 2, gone.log
     assert f'publishes /{SOLE_TOPIC[name]} {"as well" if program else ""}' in gone.log
     peer.spin_until(is_active(peer, name))
-    peer.spin_for(3.0 * rivals.PATIENCE)
+    peer.spin_for(3.0 * rivals.CLAIM)
     assert stays.process.poll() is None, stays.log
     assert peer.node.count_publishers(MOVES[name]) == 1
 
@@ -159,5 +159,18 @@ def test_who_was_first_waits_longest(
 
     with pytest.raises(CannotGoOnError):
         look_on()
-    waited = world.now - begin - patience * rivals.PATIENCE
+    waited = world.now - begin - patience * rivals.CLAIM
     assert 0.0 < waited <= 2.0 * rivals.LOOK_PERIOD
+
+
+def test_second_herd_says_why_it_ends_and_leaves_the_first_alone(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
+    first = start('herd', '--goal', '3', '3', '--real-time', '2', '--out', str(tmp_path / 'one'))
+    first.wait_for('to go')
+    second = start('herd', '--real-time', '2', '--out', str(tmp_path / 'two'))
+    assert second.wait() == 3
+    assert 'died (exit code 2)' in second.log
+    assert 'already; end it, or give this one a namespace or another' in second.log
+    assert first.process.poll() is None, first.log
+    assert first.end() == 130
