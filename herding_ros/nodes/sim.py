@@ -232,11 +232,11 @@ class Sim(HerdingNode):
 
     def _advance_with_newest(self) -> None:
         """Move on with the newest commands; a dog whose last is too old stands."""
-        oldest = self._simulation.nanoseconds - self._settings.command_timeout * 1e9
+        oldest = self._simulation.nanoseconds - round(self._settings.command_timeout * 1e9)
         self._advance(
             np.array(
                 [
-                    np.zeros(2) if u is None or received < oldest else u
+                    np.zeros(2) if u is None or received <= oldest else u
                     for u, received in zip(self._velocities, self._received_ns, strict=True)
                 ]
             )

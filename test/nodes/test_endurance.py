@@ -27,5 +27,6 @@ def test_five_minutes(tmp_path: Path) -> None:
     assert len(endured.margins) == 31
     for node in endured.memory:
         growth, _ = endured.growth(node)
-        # Less than a message in ten that is kept for ever: 2.8 kB of sheep in each period.
-        assert growth < 0.1 * PERIODS * 2.8e-3 * 2 / 3 + 1.0, endured.memory[node]
+        # Were each message of the sheep kept, 2.8 kB, two thirds of it would be 5.6 MB. The index
+        # of the file that is open is 2.5 kB for 64 KiB of bag, some 2 MB.
+        assert growth < 3.0, endured.memory[node]

@@ -240,14 +240,16 @@ class Commands:
 def test_each_plan_begins_exactly_at_its_window(start: Callable[..., Any], peer: Any) -> None:
     meadow = Meadow(peer)
     commands = Commands(peer, meadow)
-    start('sim', **{**SIM, 'stop_on_arrival': False})
-    start('controller', **{**CONTROLLER, 'lead': 8.0})
-    meadow.run_until(lambda: meadow.now() > 50.0)
+    # A solve takes a tenth of the 0.8 s of wall time that it is given.
+    short = {'horizon__length': 4.0, 'horizon__accepted': 2.0, 'lead': 1.6}
+    start('sim', **{**SIM, 'stop_on_arrival': False, 'real_time_factor': 2.0})
+    start('controller', **{**CONTROLLER, **short})
+    meadow.run_until(lambda: meadow.now() > 16.0)
     begins = [seconds(plan) for plan in meadow.plans]
-    assert len(begins) >= 4
-    assert np.diff(begins) == pytest.approx(10.0, abs=1e-6)
+    assert len(begins) >= 5
+    assert np.diff(begins) == pytest.approx(2.0, abs=1e-6)
     told = commands.at()
-    assert len(told) > 300
+    assert len(told) > 80
     for t, u in told:
         assert np.array_equal(u, commands.planned(t, meadow.plans))
     state = meadow.said('controller: state')

@@ -197,8 +197,7 @@ def test_silent_dog_stops(start: Callable[..., Any], peer: Any) -> None:
     resting = shepherd.true_dog()
     peer.spin_until(lambda: shepherd.newest() > begun + 4_000_000_000)
     assert np.array_equal(shepherd.true_dog(), resting)
-    # Played in whole periods of 0.1 s: 0.3 s, and one more when the order came late in one.
-    assert 0.05 * 0.29 <= (resting - first)[0] <= 0.05 * 0.51
+    assert (resting - first)[0] == pytest.approx(0.05 * 0.3)
 
 
 def test_reset_starts_the_same_run_again(start: Callable[..., Any], peer: Any) -> None:
