@@ -28,6 +28,9 @@ from herding_ros.report.cli import write_report
 from .running import start_ros
 
 _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED, _INTERRUPTED = 0, 1, 2, 3, 130
+_QUESTIONS = 1.2
+"""Time that the recorder gets to ask the nodes for their parameters, however short a run [s]."""
+
 _PATIENCE = 20.0
 """Time that a child gets to end by itself [s]."""
 
@@ -217,7 +220,8 @@ def _watch(
             elif not t0:
                 t0 = max(watcher.time, 1e-9)
             dead = [child for child in children if child.process.poll() is not None]
-            over = watcher.finished or dead or interrupted.is_set()
+            told = watcher.finished and now > begun + _QUESTIONS
+            over = told or dead or interrupted.is_set()
             if over or now - shown > (0.2 if live else 5.0):
                 shown = now
                 line = Text(watcher.line(t0, now - begun), no_wrap=True)
