@@ -79,7 +79,8 @@ class _Watch:
         was_first = self._since > self._begun + CLAIM
         is_lower = all(self._mine < info.endpoint_gid for info in others)
         if now > self._since + CLAIM * (2 * was_first + is_lower):
-            raise CannotGoOnError(f'{_name(others[0])} publishes {self._topic} as well; {_ADVICE}')
+            name = _name(others[0]) or 'another node'
+            raise CannotGoOnError(f'{name} publishes {self._topic} as well; {_ADVICE}')
 
 
 def _wait_until_nobody_publishes(node: HerdingNode, topic: str) -> None:
@@ -90,14 +91,17 @@ def _wait_until_nobody_publishes(node: HerdingNode, topic: str) -> None:
         now = time.monotonic()
         if not others and now > node.joined + DISCOVERY:
             return
+        name = _name(others[0]) if others else ''
         if others and now > end:
-            raise ValueError(f'{_name(others[0])} publishes {topic} already; {_ADVICE}')
-        if others and not told:
-            name = _name(others[0])
+            raise ValueError(f'{name or "another node"} publishes {topic} already; {_ADVICE}')
+        if name and not told:
             node.get_logger().info(f'waiting for {name} to go, which publishes {topic}')
             told = True
         time.sleep(0.02)
 
 
 def _name(info: TopicEndpointInfo) -> str:
+    """Return the name of a publisher's node; nothing for one just found, not yet introduced."""
+    if info.node_name == '_NODE_NAME_UNKNOWN_':
+        return ''
     return f'node {info.node_namespace.rstrip("/")}/{info.node_name}'
