@@ -29,7 +29,6 @@ from herding_ros.control.solution import OutOfTime
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.parameters import Crowd, quantity, TINY
 from herding_ros.model.state import Array, HerdState
-from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .background import Work
@@ -115,7 +114,7 @@ class Controller(HerdingNode):
         self._next: Playing | None = None  # the one that waits for its window
         self._start_anew()
         self._plans = self._missed = self._failed = 0
-        self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
+        self.load_kernels()
 
         create = partial(
             self.create_publisher, publisher_class=CountingPublisher, event_callbacks=UNWATCHED

@@ -32,6 +32,7 @@ from herding_ros.model.parameters import (
     quantity,
 )
 from herding_ros.model.scenario import GOAL
+from herding_ros.model.warmup import warm_up
 
 from .refusals import Refusals, Refused
 
@@ -80,6 +81,11 @@ class HerdingNode(Node):
             read_only=True,
         )
         self.set_descriptor('use_sim_time', descriptor)
+
+    def load_kernels(self) -> None:
+        """Make the model's kernels ready; it may take half a minute the first time."""
+        self.get_logger().info('loading kernels, which are compiled the first time')
+        self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **options: Any

@@ -22,7 +22,6 @@ from herding_ros.model.flock import distance, spread
 from herding_ros.model.parameters import Crowd, quantity, TINY
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
-from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .inbox import Inbox
@@ -71,8 +70,7 @@ class Sim(HerdingNode):
         self._settings = declare(self, SimSettings(), live=LIVE)
         self._crowd = declare_crowd(self, live=LIVE)
         self._world = declare(self, World())
-        self.get_logger().info('loading kernels, which are compiled the first time')
-        self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
+        self.load_kernels()
         self._goal = np.array(self._settings.goal)
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._paused = False
