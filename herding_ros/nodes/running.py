@@ -124,7 +124,7 @@ def _run(make_node: Callable[[], HerdingNode], args: list[str] | None) -> int:
     _say_farewell(node)
     node.destroy_node()
     rclpy.shutdown()
-    # Python gives signals back their default on its way out, and another one would show in the code.
+    # On its way out Python gives signals their default back: another one would show in the code.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     return code

@@ -34,9 +34,9 @@ def test_herd_keeps_its_children_on_this_machine(
     process.wait_for('output in')
     end = time.monotonic() + 30.0
     # A child that has just been made has no environment yet.
-    while sum(RANGE in child.environ() for child in (children := herd.children())) < 3:
+    while sum(RANGE in child.environ() for child in herd.children()) < 3:
         assert time.monotonic() < end, process.log
-    assert [child.environ()[RANGE] for child in children] == [expected] * 3
+    assert [child.environ()[RANGE] for child in herd.children()] == [expected] * 3
     process.end()
 
 
