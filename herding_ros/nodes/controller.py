@@ -144,7 +144,7 @@ class Controller(HerdingNode):
         self._in_sight: tuple[int, ...] = ()
         self._estimate: Observed | None = None
         self._estimator.reset()
-        self._told = np.zeros((self._settings.dogs, 2))  # what the dogs were told last
+        self._told: Array = np.zeros((self._settings.dogs, 2))  # what the dogs were told last
         self._anew = True
         self._plan_at_once()
 

@@ -170,7 +170,7 @@ def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
         sheep = points(cloud)
     except ValueError as error:
         raise Refused('malformed', str(error)) from None
-    values = np.empty((len(sheep), 4))
+    values: Array = np.empty((len(sheep), 4))
     with np.errstate(invalid='ignore'):  # converting some NaN warns on stderr
         for i, name in enumerate(('x', 'y', 'vx', 'vy')):
             values[:, i] = _column(sheep, name, 'f', 'FLOAT32 or FLOAT64')
