@@ -373,6 +373,8 @@ def _message_type(name: str) -> Any:
     """Return the class of a type; ValueError when it cannot be imported."""
     try:
         package, kind, name = name.split('/')
+        if kind != 'msg':  # the graph says it, and what it says would be imported
+            raise ImportError(f'{kind} is no kind of messages')
         return getattr(import_module(f'{package}.{kind}'), name)
     except (ImportError, AttributeError) as error:
         raise ValueError(
