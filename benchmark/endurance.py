@@ -28,11 +28,9 @@ from rich.console import Console
 from rosbags.highlevel import AnyReader
 
 from herding_ros.bag.metadata import read_metadata
-from herding_ros.nodes.herd import Child, Watcher
+from herding_ros.control.parameters import Horizon
+from herding_ros.nodes.herd import Child, lead_at, Watcher
 from herding_ros.nodes.running import start_ros
-
-CONTROL_PERIOD = 0.1
-"""Simulated time between two commands [s]."""
 
 WARM_UP = 0.1
 """Part of a run that is not judged: caches fill, the recorder learns the topics."""
@@ -97,7 +95,7 @@ def endure(
     recorder = {'bag': out / 'bag', 'use_sim_time': True, 'max_bag_size': _FILE_SIZE}
     if real_time is not None:
         sim['real_time_factor'] = real_time
-        controller['lead'] = max(2.0, 0.5 * real_time)
+        controller['lead'] = lead_at(real_time)
     children = [
         Child('recorder', recorder, out),
         Child('controller', controller, out),
@@ -135,7 +133,9 @@ def endure(
         rclpy.shutdown()
     lost, messages = _lost(out, children)
     margins = _deadlines(out / 'bag')
-    jitter = _jitter(out / 'bag', CONTROL_PERIOD / real_time) if real_time is not None else {}
+    jitter = (
+        _jitter(out / 'bag', Horizon().control_period / real_time) if real_time is not None else {}
+    )
     return Endured(wall, simulated, memory, messages, lost, margins, jitter)
 
 

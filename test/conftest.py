@@ -1,8 +1,9 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 import json
 from pathlib import Path
+import subprocess
 from typing import Any
 
 from hypothesis import settings
@@ -161,3 +162,15 @@ def random_herd() -> Callable[..., HerdState]:
         )
 
     return make
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 4 MB."""
+    path = tmp_path / 'disk'
+    path.mkdir()
+    mount = ['mount', '-t', 'tmpfs', '-o', 'size=4m', 'tmpfs', str(path)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip('only root can make a small disk')
+    yield path
+    subprocess.run(['umount', '--lazy', str(path)], check=True)

@@ -418,7 +418,7 @@ class Controller(HerdingNode):
             'dogs_silent': ' '.join(self._silent()),
             'deadlines_missed': self._missed,
             'plans_failed': self._failed,
-            **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
+            **self._refused.report_values(),
         }
         good = good and not (self._failed or self._refused.counts)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN

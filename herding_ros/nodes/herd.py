@@ -179,6 +179,14 @@ class Watcher(Node):
         )
 
 
+def lead_at(real_time: float) -> float:
+    """Return the controller's lead [s] at a multiple of real time.
+
+    A solve takes wall time: the faster the sim's clock, the earlier it has to begin.
+    """
+    return min(max(2.0, 0.5 * real_time), 9.0)
+
+
 def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     lockstep = options.real_time is None
     shared = {'goal': options.goal, 'lockstep': lockstep, 'wait_for': 'recorder',
@@ -191,8 +199,7 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
            'time_limit': options.time_limit}  # fmt: skip
     if not lockstep:
         sim['real_time_factor'] = options.real_time
-        # A solve takes wall time: the faster the sim's clock, the earlier it has to begin.
-        controller['lead'] = min(max(2.0, 0.5 * options.real_time), 9.0)
+        controller['lead'] = lead_at(options.real_time)
     return [
         Child('recorder', recorder, logs),
         Child('controller', controller, logs),

@@ -35,7 +35,7 @@ from ..bag.writer import BagWriter
 from .parameter_query import ParameterQuery
 from .parameters import HerdingNode
 from .refusals import Refused
-from .running import CLOCK, start_ros
+from .running import CLOCK, ignore_signals, start_ros
 from .tap import Received, Tap
 from .topic_qos import adapted_qos, asks_more, qos_map
 from .wire import Reader
@@ -308,7 +308,7 @@ class Recorder(HerdingNode):
             'messages': self._bag.message_count,
             'bytes': self._bytes,
             'lost': self._lost,
-            **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
+            **self._refused.report_values(),
         }
         level = DiagnosticStatus.WARN if self._refused.counts else DiagnosticStatus.OK
         status = DiagnosticStatus(
@@ -345,9 +345,7 @@ def main(args: list[str] | None = None) -> int:
     finally:
         recorder.destroy_node()
         rclpy.try_shutdown()
-        # From here on Python takes its handlers down: another signal would kill.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+        ignore_signals()
 
 
 def _record(recorder: Recorder, stop: threading.Event) -> int:

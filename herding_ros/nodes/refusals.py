@@ -28,6 +28,10 @@ class Refusals:
         self.counts: dict[str, int] = {}
         self._logger = logger
 
+    def report_values(self) -> dict[str, object]:
+        """Return what /diagnostics says of them."""
+        return {f'refused {key}': count for key, count in self.counts.items()}
+
     def add(self, topic: str, error: ValueError) -> None:
         """Count a message refused on a topic, e.g. 'sheep', by the kind of the error."""
         kind = error.kind if isinstance(error, Refused) else 'not allowed'

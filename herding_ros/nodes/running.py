@@ -124,10 +124,14 @@ def _run(make_node: Callable[[], HerdingNode], args: list[str] | None) -> int:
     _say_farewell(node)
     node.destroy_node()
     rclpy.shutdown()
-    # On its way out Python gives signals their default back: another one would show in the code.
+    ignore_signals()
+    return code
+
+
+def ignore_signals() -> None:
+    """Let no further signal show in the exit code, as Python gives them their default back."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    return code
 
 
 def _say_farewell(node: Node) -> None:

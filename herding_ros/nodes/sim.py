@@ -289,7 +289,7 @@ class Sim(HerdingNode):
             'arrived': simulation.arrived,
             'finished': self._finished,
             'periods_skipped': self._skipped,
-            **{f'refused {kind}': count for kind, count in self._refused.counts.items()},
+            **self._refused.report_values(),
         }
         level = (
             DiagnosticStatus.WARN if self._refused.counts or self._skipped else DiagnosticStatus.OK

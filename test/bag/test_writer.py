@@ -10,7 +10,6 @@ import random
 import re
 import resource
 import shutil
-import subprocess
 from typing import Any
 
 from mcap.exceptions import EndOfFile
@@ -521,18 +520,6 @@ def largest_file(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 4 MB."""
-    path = tmp_path / 'disk'
-    path.mkdir()
-    mount = ['mount', '-t', 'tmpfs', '-o', 'size=4m', 'tmpfs', str(path)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip('only root can make a small disk')
-    yield path
-    subprocess.run(['umount', str(path)], check=True)
 
 
 def grow_evenly(bag: BagWriter, k: int) -> None:

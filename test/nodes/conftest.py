@@ -19,6 +19,9 @@ from rclpy.executors import SingleThreadedExecutor
 LIMIT = 60.0
 """No condition is waited for any longer [s]."""
 
+TIME_TO_END = 2.0
+"""Time in which every node ends after a signal [s]."""
+
 _FIRST = os.getpid() % 60
 _domains = itertools.cycle([1 + (_FIRST + k) % 60 for k in range(60)])
 
@@ -52,6 +55,18 @@ class Process:
         """Send a signal and return the exit code."""
         self.process.send_signal(number)
         return self.wait()
+
+    def ends_in_time(self, number: int, code: int = 0, times: int = 1) -> None:
+        """Send a signal, once or in a row, and look how the process takes it."""
+        begun = time.monotonic()
+        for _ in range(times):
+            self.process.send_signal(number)
+            time.sleep(0.02)
+        assert self.wait() == code, self.log
+        took = time.monotonic() - begun
+        print(f'ended after {took:.2f} s')
+        assert took < TIME_TO_END, self.log
+        assert 'Traceback' not in self.log
 
     def wait(self) -> int:
         return self.process.wait(LIMIT)

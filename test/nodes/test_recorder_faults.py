@@ -5,7 +5,7 @@ Each against a process of its own over DDS; bags are read by rosbags.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 import itertools
 from pathlib import Path
 import random
@@ -120,25 +120,6 @@ def wait_until(condition: Callable[[], object]) -> None:
     while not condition():
         assert time.monotonic() < end, 'waited too long'
         time.sleep(0.02)
-
-
-def ends_in_time(process: Any, number: int, code: int = 0) -> None:
-    begin = time.monotonic()
-    assert process.end(number) == code, process.log
-    assert time.monotonic() - begin < IN_TIME
-    assert 'Traceback' not in process.log
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 4 MB."""
-    path = tmp_path / 'disk'
-    path.mkdir()
-    mount = ['mount', '-t', 'tmpfs', '-o', 'size=4m', 'tmpfs', str(path)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip('only root can make a small disk')
-    yield path
-    subprocess.run(['umount', '--lazy', str(path)], check=True)
 
 
 # Kills.
@@ -302,7 +283,7 @@ def test_full_disk_is_told_and_leaves_a_complete_bag(
     with AnyReader([bag]) as reader:
         assert reader.message_count == int(values['messages'])
     before = {file: file.read_bytes() for file in bag.iterdir()}
-    ends_in_time(process, signal.SIGTERM, code=1)
+    process.ends_in_time(signal.SIGTERM, code=1)
     assert {file: file.read_bytes() for file in bag.iterdir()} == before
 
 
@@ -320,7 +301,7 @@ def test_file_that_cannot_grow_is_told_and_leaves_a_complete_bag(
     assert status(diagnostics)[0].message == 'stopped: File too large'
     numbers = numbers_in(bag)
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    ends_in_time(process, signal.SIGINT, code=1)
+    process.ends_in_time(signal.SIGINT, code=1)
 
 
 def test_disk_that_fails_in_the_middle_leaves_a_bag_to_recover(
@@ -339,7 +320,7 @@ def test_disk_that_fails_in_the_middle_leaves_a_bag_to_recover(
     assert f'the bag is not complete: recover it by `ros2 run herding_ros recover {bag}`' in (
         process.log
     )
-    ends_in_time(process, signal.SIGINT, code=1)
+    process.ends_in_time(signal.SIGINT, code=1)
     assert recover(bag).returncode == 0
     numbers = numbers_in(bag)
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
@@ -405,7 +386,7 @@ def test_files_by_size(
     counter = count()
     peer.spin_until(lambda: counter.count > 5000)
     counter.end()
-    ends_in_time(process, signal.SIGINT)
+    process.ends_in_time(signal.SIGINT)
     numbers = numbers_in(bag)
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     # It may be that the last one was published when the process was ended, and not noted.
@@ -450,7 +431,7 @@ def test_files_by_time_of_the_simulation(
         clock.publish(serialize_message(message))
         state.publish(String(data=f'{k}'))
         peer.spin_for(0.05)  # for a round of the recorder between any two
-    ends_in_time(process, signal.SIGINT)
+    process.ends_in_time(signal.SIGINT)
     content = yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
     starts = [file['starting_time']['nanoseconds_since_epoch'] for file in content['files']]
     assert starts == [0, 2_200_000_000, 4_400_000_000, 6_600_000_000]
@@ -499,7 +480,7 @@ def test_pause_leaves_out_what_is_published_meanwhile(
     assert status(diagnostics)[0].message == 'recording'
     ask('pause')
     publish(50)
-    ends_in_time(process, signal.SIGINT)
+    process.ends_in_time(signal.SIGINT)
     assert numbers_in(tmp_path / 'bag') == [*range(100), *range(200, 300)]
     assert [text for text, _ in texts_in(tmp_path / 'bag', '/late')] == ['recorded']
 
@@ -533,7 +514,7 @@ def test_clock_is_followed_during_a_pause(
     tick(7)
     ask('resume')
     tick(8)
-    ends_in_time(process, signal.SIGINT)
+    process.ends_in_time(signal.SIGINT)
     assert texts_in(tmp_path / 'bag', '/state') == [
         ('resumed', 4 * 10**9), ('5', 5 * 10**9), ('8', 8 * 10**9),
     ]  # fmt: skip
@@ -558,7 +539,7 @@ def test_end_while_paused(
     paused = counter.count
     peer.spin_for(0.2)
     process.process.send_signal(number)
-    ends_in_time(process, number)  # twice in a row
+    process.ends_in_time(number)  # twice in a row
     numbers = numbers_in(tmp_path / 'bag')
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     assert 0 < len(numbers) <= paused
@@ -622,7 +603,7 @@ def test_topics_of_broken_packages_are_left_out(
     diagnostics = peer.listen(DiagnosticArray, '/diagnostics')
     count()
     peer.spin_until(lambda: int(status(diagnostics)[1].get('messages', 0)) > 500)
-    ends_in_time(process, signal.SIGINT)
+    process.ends_in_time(signal.SIGINT)
     assert process.log.count('is not recorded') == 2
     assert len(numbers_in(tmp_path / 'bag')) > 100
     with AnyReader([tmp_path / 'bag']) as reader:

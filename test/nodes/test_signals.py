@@ -15,9 +15,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
-LIMIT = 2.0
-"""Time in which a node ends [s]."""
-
 SMALL: dict[str, dict[str, Any]] = {'sim': {'sheep': 3, 'dogs': 1}, 'controller': {'dogs': 1}}
 SOLE_TOPIC = {'sim': 'truth/sheep', 'controller': 'plan'}
 
@@ -25,20 +22,6 @@ both_nodes = pytest.mark.parametrize('name', ['sim', 'controller'])
 both_signals = pytest.mark.parametrize(
     'number', [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name
 )
-
-
-def ends_in_time(process: Any, number: int, times: int = 1) -> None:
-    """Send a signal, once or in a row, and look how the process takes it."""
-    begun = time.monotonic()
-    for _ in range(times):
-        process.process.send_signal(number)
-        time.sleep(0.02)
-    code = process.wait()
-    took = time.monotonic() - begun
-    print(f'ended after {took:.2f} s')
-    assert code == 0, process.log
-    assert 'Traceback' not in process.log
-    assert took < LIMIT, process.log
 
 
 @both_signals
@@ -55,7 +38,7 @@ def test_while_kernels_are_compiled(
     process.wait_for('loading kernels')
     time.sleep(1.0)  # they take many seconds
     assert 'kernels loaded' not in process.log
-    ends_in_time(process, number)
+    process.ends_in_time(number)
 
 
 @both_signals
@@ -67,7 +50,7 @@ def test_while_another_node_is_in_the_way(
     peer.spin_until(lambda: peer.node.count_publishers(SOLE_TOPIC[name]))
     process = start(name, **SMALL[name])
     process.wait_for(f'waiting for node /{name} to go')
-    ends_in_time(process, number)
+    process.ends_in_time(number)
 
 
 @both_signals
@@ -77,7 +60,7 @@ def test_while_nobody_is_there(
 ) -> None:
     process = start(name, lockstep=True, wait_for='recorder', **SMALL[name])
     peer.spin_until(lambda: peer.node.count_publishers(SOLE_TOPIC[name]))
-    ends_in_time(process, number)
+    process.ends_in_time(number)
 
 
 @both_signals
@@ -86,14 +69,14 @@ def test_sim_in_real_time(start: Callable[..., Any], peer: Any, number: int, tim
     heard = peer.listen(PointCloud2, 'truth/sheep')
     process = start('sim', real_time_factor=20.0, **SMALL['sim'])
     peer.spin_until(lambda: len(heard) > 3)
-    ends_in_time(process, number, times)
+    process.ends_in_time(number, times=times)
 
 
 @both_signals
 def test_sim_that_does_not_keep_up(start: Callable[..., Any], peer: Any, number: int) -> None:
     process = start('sim', real_time_factor=1000.0, **{**SMALL['sim'], 'dogs': 20})
     process.wait_for('came too late')
-    ends_in_time(process, number)
+    process.ends_in_time(number)
 
 
 @both_signals
@@ -103,21 +86,21 @@ def test_sim_that_waits_for_an_answer(start: Callable[..., Any], peer: Any, numb
     process = start('sim', lockstep=True, **SMALL['sim'])
     peer.talk_to(TwistStamped, 'dog_1/cmd_vel')
     peer.spin_until(lambda: heard)
-    ends_in_time(process, number)
+    process.ends_in_time(number)
 
 
 @both_signals
 def test_sim_that_is_paused(start: Callable[..., Any], peer: Any, number: int) -> None:
     process = start('sim', **SMALL['sim'])
     assert peer.call(SetBool, 'sim/pause', SetBool.Request(data=True)).success
-    ends_in_time(process, number)
+    process.ends_in_time(number)
 
 
 @both_signals
 def test_sim_that_has_finished(start: Callable[..., Any], number: int) -> None:
     process = start('sim', real_time_factor=20.0, time_limit=0.5, **SMALL['sim'])
     process.wait_for('did not arrive')
-    ends_in_time(process, number)
+    process.ends_in_time(number)
 
 
 @both_signals
@@ -133,6 +116,6 @@ def test_sim_whose_listener_hangs(
     try:
         heard = len(clock)
         peer.spin_until(lambda: len(clock) > heard + 10)
-        ends_in_time(process, number)
+        process.ends_in_time(number)
     finally:
         listener.process.send_signal(signal.SIGCONT)
