@@ -25,7 +25,7 @@ import rclpy
 from rclpy.parameter import Parameter, parameter_value_to_python
 from sensor_msgs.msg import PointCloud2
 
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import Control, Weights
 from herding_ros.model.parameters import Crowd, describe_limits, Parameters
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import controller, messages, sim
@@ -54,7 +54,7 @@ FIELDS: dict[str, dict[str, Field]] = {
 LIVE = {
     'sim': {'real_time_factor', 'crowd.noise'},
     'controller': {
-        *(f'weights.{name}' for name in ('centre', 'spread', 'control', 'dogs')),
+        *(f'weights.{field.name}' for field in dataclasses.fields(Weights)),
         *('crowd.noise', 'horizon.length', 'horizon.accepted', 'max_speed'),
     },
     'recorder': set(),
