@@ -229,8 +229,10 @@ class Commands:
         return [(t, np.array([each[t] for each in told])) for t in times]
 
     def planned(self, t: float, plans: list[Any]) -> np.ndarray:
-        """What the newest of the plans that have begun says for t; zero after its end."""
-        plan = max((p for p in plans if seconds(p) <= t + 1e-6), key=seconds)
+        """What the newest of the plans that have begun says for t; zero before and after."""
+        plan = max((p for p in plans if seconds(p) <= t + 1e-6), key=seconds, default=None)
+        if plan is None:
+            return np.zeros((DOGS, 2))
         k = math.floor((t - seconds(plan) + 1e-6) / 0.1)
         if k >= len(plan.points):
             return np.zeros((DOGS, 2))
