@@ -13,8 +13,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd, Morse, TINY
+from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, finite, HerdState
 
 from .parameters import Sensor
@@ -175,8 +176,14 @@ class Estimator:
         """Carry everybody forward by the coarse model."""
         steps = max(round(elapsed * self.substeps / self.control_period), 1)
         dt = elapsed / steps
+        # A force of shorter range than the noise would be wrong, taken from such positions, and
+        # throw sheep apart that only seem to be close.
         noise, crowd = self.sensor.position_noise, self.crowd
-        crowd = replace(crowd, sheep=_wide(crowd.sheep, noise), dog=_wide(crowd.dog, noise))
+        crowd = replace(
+            crowd,
+            sheep=crowd.sheep.without_ranges_below(noise),
+            dog=crowd.dog.without_ranges_below(noise),
+        )
         end = rollout(crowd, belief.state, u[None, belief.dogs.names], dt, steps).at(-1)
         step = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
         force = np.diag([0.0, self._force**2 * dt])
@@ -208,16 +215,3 @@ def _check_names(names: _Names, points: Array, what: str) -> None:
             f'names of {what} have shape {names.shape}, allowed is ({len(points)},), '
             'one for each that was observed'
         )
-
-
-def _wide(force: Morse, noise: float) -> Morse:
-    """Return a force without what has a shorter range than the noise [m].
-
-    Taken from positions that uncertain it would be wrong, and throw sheep apart that only seem
-    to be close.
-    """
-    return replace(
-        force,
-        repulsion=force.repulsion if force.repulsion_length > noise else 0.0,
-        attraction=force.attraction if force.attraction_length > noise else 0.0,
-    )

@@ -50,6 +50,10 @@ class Reference(Parameters):
     )
 
 
+MOST_INTERVALS = 2000
+"""Control periods in a window: more would take memory by the gigabyte."""
+
+
 @dataclass(frozen=True)
 class Horizon(Parameters):
     """The window that is planned, the part of it that is played, and the time grids."""
@@ -71,6 +75,11 @@ class Horizon(Parameters):
                     f'Horizon.{name} is {getattr(self, name)!r}, allowed is a multiple of '
                     f'control_period, {self.control_period!r}'
                 )
+        if self.intervals > MOST_INTERVALS:
+            raise ValueError(
+                f'Horizon.length is {self.length!r}, allowed is at most {MOST_INTERVALS} times '
+                f'control_period, {self.control_period!r}'
+            )
         if self.accepted > self.length:
             raise ValueError(
                 f'Horizon.accepted is {self.accepted!r}, allowed is at most the length, '
@@ -115,7 +124,7 @@ class Mapping(Parameters):
         "compare the models' outputs, or (aggressive: the paper's Algorithm 1) their controls",
         choices=('output', 'aggressive'),
     )
-    paths: int = quantity(100, 'Monte Carlo paths of the fine model', low=1)
+    paths: int = quantity(100, 'Monte Carlo paths of the fine model', low=1, high=10_000)
     max_iterations: int = quantity(3, 'most corrections of a plan; 0 plans without noise', low=0)
     accuracy: float = quantity(
         1e-3,

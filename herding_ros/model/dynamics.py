@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import kernels
-from .parameters import Crowd
+from .crowd import Crowd
 from .state import Array, finite, HerdState, Trajectory
 
 
@@ -25,9 +25,8 @@ def physics(crowd: Crowd, n: int, dt: float) -> kernels.Physics:
     """Return what the kernels need to know about n sheep and steps of dt [s]."""
     if not (np.isfinite(dt) and dt > 0.0):
         raise ValueError(f'the time step dt is {dt!r}, allowed is a number above 0')
-    repulsion, repulsion_rate, attraction, attraction_rate = crowd.sheep.coefficients
-    sheep = (repulsion / n, repulsion_rate, attraction / n, attraction_rate)
-    return kernels.Physics(n, float(dt), sheep, crowd.dog.coefficients, crowd.friction)
+    sheep = kernels.divided(crowd.sheep.kernel_form(), n)
+    return kernels.Physics(n, float(dt), sheep, crowd.dog.kernel_form(), crowd.friction)
 
 
 def to_lanes(points: Array) -> Array:

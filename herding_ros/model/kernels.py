@@ -14,7 +14,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 import numpy as np
 
 from .state import Array
@@ -33,14 +34,35 @@ it vectorises.
 # multiply-adds. NaN and infinity keep their meaning. The order of summation is fixed at
 # compile time, so results repeat bit for bit.
 _OPTIONS: dict[str, Any] = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
-_kernel = njit(**_OPTIONS, fastmath={'reassoc', 'contract', 'nsz'})
+_FAST: dict[str, Any] = {'fastmath': {'reassoc', 'contract', 'nsz'}}
+_kernel = njit(**_OPTIONS, **_FAST)
 # What is called in an innermost loop has to be inlined, or the loop cannot be vectorised.
-_inlined = njit(**_OPTIONS, fastmath={'reassoc', 'contract', 'nsz'}, forceinline=True)
+_INLINED: dict[str, Any] = {**_FAST, 'forceinline': True}
+_inlined = njit(**_OPTIONS, **_INLINED)
 # Argument reduction depends on the order of its operations: no reassociation here.
 _exact = njit(**_OPTIONS, fastmath={'contract'}, forceinline=True)
 
 MorseCoefficients = tuple[float, float, float, float]
 """(C_r / l_r, 1 / l_r, C_a / l_a, 1 / l_a) of a Morse potential."""
+
+
+class Table(NamedTuple):
+    """P'/r of any potential P by cubic pieces in r**2, see `table`.
+
+    On piece i it is c0[i] + c1[i] t + c2[i] t**2 + c3[i] t**3, t the way in r**2 from the
+    beginning of the piece. low and high are the ends of all pieces [m^2].
+    """
+
+    low: float
+    high: float
+    c0: Array
+    c1: Array
+    c2: Array
+    c3: Array
+
+
+PotentialForm = MorseCoefficients | Table
+"""A potential as the kernels know it: each kernel is compiled for either."""
 
 
 class Physics(NamedTuple):
@@ -51,8 +73,8 @@ class Physics(NamedTuple):
 
     n: int
     dt: float
-    sheep: MorseCoefficients
-    dog: MorseCoefficients
+    sheep: PotentialForm
+    dog: PotentialForm
     alpha: float
 
 
@@ -101,23 +123,65 @@ def exp_neg(x: float) -> float:
     return np.int64(np.float64(p).view(np.int64) + exponent).view(np.float64)
 
 
-@_inlined
-def slope_over_r(r2: float, p: MorseCoefficients) -> float:
-    """P'(r) / r of the Morse potential at r**2 = r2, zero at r = 0.
+# A piece of a table is as long as a double's leading bits last: its number and its beginning
+# are read off the bits of r**2 (bit-mapped tables; Wolff and Rudd 1999).
+_PIECE_BITS = 7
+_SHIFT = 52 - _PIECE_BITS
+_BEGINNING = np.int64(-1) << _SHIFT
 
-    The gradient of P(|s|) is this times s.
-    """
+
+def table_nodes(low: float, high: float) -> Array:
+    """Return ends of pieces that cover r**2 from low > 0 to high [m^2], in increasing order."""
+    first, last = (int(np.float64(end).view(np.int64)) >> _SHIFT for end in (low, high))
+    return (np.arange(first, last + 2) << _SHIFT).view(np.float64)
+
+
+def table(nodes: Array, a: Array, slope: Array) -> Table:
+    """Return the table with values a = P'/r and slopes da/d(r**2) at the `table_nodes`."""
+    length = np.diff(nodes)
+    mean = np.diff(a) / length
+    return Table(
+        float(nodes[0]),
+        float(np.nextafter(nodes[-1], 0.0)),
+        a[:-1].copy(),
+        slope[:-1].copy(),
+        (3.0 * mean - 2.0 * slope[:-1] - slope[1:]) / length,
+        (slope[:-1] + slope[1:] - 2.0 * mean) / length**2,
+    )
+
+
+def divided(p: PotentialForm, n: int) -> PotentialForm:
+    """Return the potential divided by n."""
+    if isinstance(p, Table):
+        return p._replace(c0=p.c0 / n, c1=p.c1 / n, c2=p.c2 / n, c3=p.c3 / n)
+    return (p[0] / n, p[1], p[2] / n, p[3])
+
+
+@_exact
+def _piece(r2: float, p: Table) -> tuple[Any, float]:
+    """Return the number of the piece that holds r2, and the way from its beginning."""
+    z = min(max(r2, p.low), p.high)
+    bits = np.float64(z).view(np.int64)
+    first = np.float64(p.low).view(np.int64) >> _SHIFT
+    way = z - np.int64(bits & _BEGINNING).view(np.float64)
+    return np.uint64((bits >> _SHIFT) - first), way
+
+
+@_inlined
+def _morse_slope_over_r(r2: float, p: MorseCoefficients) -> float:
     r = math.sqrt(r2)
     slope = p[2] * exp_neg(-p[3] * r) - p[0] * exp_neg(-p[1] * r)
     return slope / r if r2 > 0.0 else 0.0
 
 
 @_inlined
-def hessian(r2: float, p: MorseCoefficients) -> tuple[float, float]:
-    """(a, b) with a w + b (s.w) s = Hessian of P(|s|) times w, zero at s = 0.
+def _table_slope_over_r(r2: float, p: Table) -> float:
+    i, t = _piece(r2, p)
+    return p.c0[i] + t * (p.c1[i] + t * (p.c2[i] + t * p.c3[i]))
 
-    a = P'/r and b = (P'' - P'/r) / r**2, for r**2 = r2 = |s|**2 and p as in slope_over_r.
-    """
+
+@_inlined
+def _morse_hessian(r2: float, p: MorseCoefficients) -> tuple[float, float]:
     r = math.sqrt(r2)
     attraction = p[2] * exp_neg(-p[3] * r)
     repulsion = p[0] * exp_neg(-p[1] * r)
@@ -125,6 +189,68 @@ def hessian(r2: float, p: MorseCoefficients) -> tuple[float, float]:
     a = (attraction - repulsion) * r * per_r2
     b = (p[1] * repulsion - p[3] * attraction - a) * per_r2
     return a, b
+
+
+@_inlined
+def _table_hessian(r2: float, p: Table) -> tuple[float, float]:
+    i, t = _piece(r2, p)
+    a = p.c0[i] + t * (p.c1[i] + t * (p.c2[i] + t * p.c3[i]))
+    b = 2.0 * (p.c1[i] + t * (2.0 * p.c2[i] + 3.0 * t * p.c3[i]))
+    return a, b
+
+
+def _by_form(morse: Any, table: Any) -> Any:
+    """Return a function of r2 and a potential that is compiled for the potential's form."""
+
+    def function(r2: float, p: PotentialForm) -> Any:
+        raise NotImplementedError('to be called from compiled code')
+
+    options: Any = {**_OPTIONS, **_INLINED}
+
+    @overload(function, jit_options=options)
+    def _choose(r2, p):  # type: ignore[no-untyped-def]  # Numba compares annotations
+        if isinstance(p, types.UniTuple):
+            return lambda r2, p: morse(r2, p)
+        return lambda r2, p: table(r2, p)
+
+    return function
+
+
+_slope_over_r = _by_form(_morse_slope_over_r, _table_slope_over_r)
+_hessian = _by_form(_morse_hessian, _table_hessian)
+
+
+@_inlined
+def slope_over_r(r2: float, p: PotentialForm) -> float:
+    """P'(r) / r at r**2 = r2, of a Morse potential zero at r = 0.
+
+    The gradient of P(|s|) is this times s.
+    """
+    return _slope_over_r(r2, p)
+
+
+@_inlined
+def hessian(r2: float, p: PotentialForm) -> tuple[float, float]:
+    """(a, b) with a w + b (s.w) s = Hessian of P(|s|) times w, of Morse zero at s = 0.
+
+    a = P'/r and b = (P'' - P'/r) / r**2, for r**2 = r2 = |s|**2. What a table gives is the
+    exact derivative of its `slope_over_r`.
+    """
+    return _hessian(r2, p)
+
+
+@_kernel
+def _pair_terms(r2: Array, p: PotentialForm, a: Array, b: Array) -> None:
+    for i in range(r2.shape[0]):
+        a[i], b[i] = hessian(r2[i], p)
+
+
+def pair_terms(r2: Array, p: PotentialForm) -> tuple[Array, Array]:
+    """Return a and b of `hessian` for an array of r2 [m^2] of any shape."""
+    flat = np.ravel(r2).astype(np.float64)
+    a, b = np.empty_like(flat), np.empty_like(flat)
+    _pair_terms(flat, p, a, b)
+    return a.reshape(np.shape(r2)), b.reshape(np.shape(r2))
 
 
 @_inlined
@@ -138,7 +264,7 @@ def _exchange_pulls(
     xs: Array,
     ys: Array,
     count: int,
-    p: MorseCoefficients,
+    p: PotentialForm,
 ) -> None:
     """Subtract the gradients of P(|x_i - xs_i|) from a_i and add them to b_i, for i < count."""
     for i in range(x.shape[0]):
@@ -163,7 +289,7 @@ def _pull_round(
     xs: Array,
     ys: Array,
     n: int,
-    p: MorseCoefficients,
+    p: PotentialForm,
 ) -> None:
     """Exchange pulls with the next in the ring, the second next, ... up to half-way round.
 
@@ -181,7 +307,7 @@ def _pull_round(
 
 @_inlined
 def _subtract_pull_of_dog(
-    ax: Array, ay: Array, x: Array, y: Array, dx: float, dy: float, p: MorseCoefficients
+    ax: Array, ay: Array, x: Array, y: Array, dx: float, dy: float, p: PotentialForm
 ) -> None:
     """Subtract from each sheep's acceleration the gradient of P(|x_i - d|)."""
     for i in range(x.shape[0]):
@@ -194,7 +320,7 @@ def _subtract_pull_of_dog(
 
 @_kernel
 def _subtract_pulls_of_dogs(
-    ax: Array, ay: Array, x: Array, y: Array, d: Array, p: MorseCoefficients
+    ax: Array, ay: Array, x: Array, y: Array, d: Array, p: PotentialForm
 ) -> None:
     for m in range(d.shape[1]):
         _subtract_pull_of_dog(ax, ay, x, y, d[0, m], d[1, m], p)
@@ -248,7 +374,7 @@ def acceleration(x: Array, d: Array, physics: Physics, ring: Array, out: Array) 
 
 @_inlined
 def _subtract_pull_of_pair(
-    ax: Array, ay: Array, x: Array, y: Array, i: int, j: int, p: MorseCoefficients
+    ax: Array, ay: Array, x: Array, y: Array, i: int, j: int, p: PotentialForm
 ) -> None:
     """Subtract the gradient of P(|x_i - x_j|) from both accelerations, in PATHS paths."""
     for path in range(PATHS):
@@ -458,7 +584,7 @@ def _exchange_hessians(
     mu_xs: Array,
     mu_ys: Array,
     count: int,
-    p: MorseCoefficients,
+    p: PotentialForm,
 ) -> None:
     """Add the Hessians of P(|x_i - xs_i|) times (mu_i - mus_i) to h_i, subtract them from g_i."""
     for i in range(x.shape[0]):
@@ -493,7 +619,7 @@ def _hessians_round(
     mu_xs: Array,
     mu_ys: Array,
     n: int,
-    p: MorseCoefficients,
+    p: PotentialForm,
 ) -> None:
     """Go round the ring as `_pull_round` does."""
     for s in range(1, n // 2 + 1):
@@ -517,7 +643,7 @@ def _add_hessian_of_dog(
     mu_y: Array,
     dx: float,
     dy: float,
-    p: MorseCoefficients,
+    p: PotentialForm,
 ) -> tuple[float, float]:
     """Add the Hessian of P(|x_i - d|) times mu_i to h_i; return the sum over i."""
     sum_x = 0.0
@@ -547,7 +673,7 @@ def _add_hessians_of_dogs(
     d: Array,
     dt: float,
     nu: Array,
-    p: MorseCoefficients,
+    p: PotentialForm,
 ) -> None:
     for m in range(d.shape[1]):
         sum_x, sum_y = _add_hessian_of_dog(hx, hy, x, y, mu_x, mu_y, d[0, m], d[1, m], p)
@@ -604,7 +730,7 @@ def _retreat(lam: Array, mu: Array, h: Array, source: Array, dt: float, alpha: f
 
 @_kernel
 def _hessians_at(
-    source_x: float, source_y: float, x: Array, y: Array, p: MorseCoefficients,
+    source_x: float, source_y: float, x: Array, y: Array, p: PotentialForm,
     xx: Array, xy: Array, yy: Array,
 ) -> None:  # fmt: skip
     for i in range(x.shape[0]):
@@ -617,7 +743,7 @@ def _hessians_at(
 
 
 @_kernel
-def _hessians(sources: Array, x: Array, p: MorseCoefficients, out: Array) -> None:
+def _hessians(sources: Array, x: Array, p: PotentialForm, out: Array) -> None:
     """Put xx, xy and yy of the Hessians of P(|x_i - source_j|) in out[j, 3, i]."""
     for j in range(sources.shape[1]):
         _hessians_at(sources[0, j], sources[1, j], x[0], x[1], p, out[j, 0], out[j, 1], out[j, 2])

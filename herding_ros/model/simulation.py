@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .admissible import project
+from .crowd import Crowd
 from .dynamics import increments, rollout
 from .flock import arrived, spread
-from .parameters import Crowd, Parameters, quantity, TINY
+from .parameters import Parameters, quantity, TINY
 from .scenario import initial_herd
 from .state import Array, HerdState
 
@@ -18,8 +19,8 @@ from .state import Array, HerdState
 class World(Parameters):
     """What the simulated world is like besides the crowd itself."""
 
-    sheep: int = quantity(30, 'number of sheep', low=1)
-    dogs: int = quantity(5, 'number of dogs', low=1)
+    sheep: int = quantity(30, 'number of sheep', low=1, high=1_000_000)
+    dogs: int = quantity(5, 'number of dogs', low=1, high=1000)
     seed: int = quantity(0, 'seed of the initial flock and of all noise', low=0)
     dt: float = quantity(0.01, 'time step', 's', low=TINY)
     substeps: int = quantity(10, 'time steps in a control period', low=1)

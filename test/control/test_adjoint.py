@@ -7,7 +7,8 @@ import pytest
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Weights
-from herding_ros.model.parameters import CROWDS
+from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.potentials import PowerLaw
 from herding_ros.model.state import Array, HerdState
 
 HerdMaker = Callable[..., HerdState]
@@ -17,7 +18,9 @@ Problem = tuple[CoarseModel, Objective, Array]
 OBSERVABLES = {'centre': (1.0, 0.0), 'individuals': (1.0, 1.0), 'spread': (0.0, 1.0)}
 OTHERS = ('dogs', 'terminal', 'containment', 'radius')
 SIZES = [(1, 1), (2, 5), (5, 2), (8, 1), (9, 3), (16, 4), (17, 5)]
-presets = pytest.mark.parametrize('preset', CROWDS)
+# The third is of potentials that kernels know by a table.
+WORLDS = {**CROWDS, 'power law': Crowd(sheep=PowerLaw(), dog=PowerLaw(0.01, 2.0, 0.0, 1.0, 0.3))}
+presets = pytest.mark.parametrize('preset', WORLDS)
 
 
 @pytest.fixture(scope='session')
@@ -29,7 +32,7 @@ def problem(random_herd: HerdMaker) -> Callable[..., Problem]:
         intervals, dt = 40 // substeps, 0.05
         centre, spread = OBSERVABLES[observable] if observable else rng.uniform(0.1, 5.0, 2)
         shape = (intervals, m, 2)
-        coarse = CoarseModel(CROWDS[preset], random_herd(n, m, n + m), dt, substeps)
+        coarse = CoarseModel(WORLDS[preset], random_herd(n, m, n + m), dt, substeps)
         weights = Weights(
             centre,
             spread,

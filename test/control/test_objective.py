@@ -9,8 +9,8 @@ from herding_ros.control.costs.cost import Cost
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Weights
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, HerdState, Trajectory
 
 HerdMaker = Callable[..., HerdState]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from herding_ros.control.costs.containment import Containment
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import HerdState, Trajectory
 
 HerdMaker = Callable[..., HerdState]

@@ -11,8 +11,8 @@ from herding_ros.control.costs.containment import Containment
 from herding_ros.control.costs.cost import Cost
 from herding_ros.control.costs.terminal import Terminal
 from herding_ros.control.costs.tracking import Tracking
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, HerdState, Trajectory
 
 HerdMaker = Callable[..., HerdState]

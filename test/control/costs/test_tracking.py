@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from herding_ros.control.costs.tracking import Tracking
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import HerdState
 
 HerdMaker = Callable[..., HerdState]

@@ -1,0 +1,32 @@
+"""The crowd: who pulls at whom, what slows sheep down, what pushes them about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .parameters import Parameters, quantity
+from .potentials import Morse, Potential
+
+
+@dataclass(frozen=True)
+class Crowd(Parameters):
+    """How sheep move (paper, state system). The defaults are the preset `cohesive`."""
+
+    sheep: Potential = Morse(1.0, 1e-2, 5e-4, 2.0)
+    dog: Potential = Morse(1e-2, 0.5, 5e-4, 2.0)
+    friction: float = quantity(0.5, 'friction alpha of the sheep', '1/s', low=0.0)
+    noise: float = quantity(
+        0.01, 'strength sigma of the random force on each sheep', 'm/s^1.5', low=0.0
+    )
+
+
+CROWDS = {
+    'cohesive': Crowd(),
+    'printed': Crowd(sheep=Morse(1.0, 2.0, 5e-4, 1e-2), dog=Morse(1e-2, 0.5, 5e-4, 1e-2)),
+}
+"""Crowds by name; `sheep` is the potential between two sheep, `dog` that of a dog on a sheep.
+
+`cohesive` is the paper's with the two lengths swapped, so that the text's long-range
+attraction and short-range repulsion hold; `printed` takes the paper by the letter, and the
+crowd explodes.
+"""
