@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import dataclasses
 from dataclasses import dataclass
 import math
@@ -11,6 +11,8 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+
+from .state import Array
 
 
 def quantity(
@@ -40,11 +42,18 @@ class Parameters:
                 value = getattr(self, field.name)
                 checked = check(f'{type(self).__name__}.{field.name}', value, field)
                 object.__setattr__(self, field.name, checked)
-            elif not isinstance(getattr(self, field.name), type(field.default)):
+            elif not _may_stand_for(getattr(self, field.name), field.default):
+                function = ' or a function' if callable(field.default) else ''
                 raise ValueError(
                     f'{type(self).__name__}.{field.name} is {getattr(self, field.name)!r}, '
-                    f'allowed is a {type(field.default).__name__}'
+                    f'allowed is a {type(field.default).__name__}{function}'
                 )
+
+
+def _may_stand_for(value: Any, group: Any) -> bool:
+    """Whether value is of the group's kind; any function may stand for a group that is called."""
+    is_function = callable(value) and not isinstance(value, type)
+    return isinstance(value, type(group)) or (callable(group) and is_function)
 
 
 def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
@@ -124,9 +133,59 @@ class Morse(Parameters):
         )
 
 
+NoiseFunction = Callable[[float, Array], Array | float]
+"""A factor of sigma: from a time [s] and any places (N, 2) [m] to (N,), or one number for all.
+
+Finite and not negative. The crowd's equations have a solution if |f(t, x)| <= C (1 + |x|) and
+|f(t, x) - f(t, y)| <= D |x - y| for some C and D (paper, remark in section 2.2).
+"""
+
+
+@dataclass(frozen=True)
+class NoiseField(Parameters):
+    """How the noise depends on time t [s] and place x [m]: a factor of sigma, 1 by default.
+
+    f(t, x) = max(1 + g.x, 0) (1 + a sin(2 pi t / T)) (1 + p exp(-|x - c|^2 / (2 l^2)))
+
+    with slope g, gust a, period T, and a patch p at c of radius l. It keeps the paper's
+    conditions, f(t, x) <= C (1 + |x|) and |f(t, x) - f(t, y)| <= D |x - y|, with
+
+    C = (1 + a) (1 + max(p, 0)) max(1, |g|),
+    D = (1 + a) (|g| (1 + max(p, 0)) + |p| ((1 + |g| |c|) e^(-1/2) / l + 2 |g| / e)).
+    """
+
+    slope: tuple[float, float] = quantity(
+        (0.0, 0.0), 'sigma grows by this share of itself per metre in x and in y', '1/m'
+    )
+    gust: float = quantity(
+        0.0, 'sigma swings up and down by this share of itself', low=0.0, high=1.0
+    )
+    period: float = quantity(10.0, 'time from one gust to the next', 's', low=TINY)
+    patch: float = quantity(
+        0.0, 'sigma is larger by this share of itself in the middle of the patch', low=-1.0
+    )
+    patch_centre: tuple[float, float] = quantity((0.0, 0.0), 'where the patch is', 'm')
+    patch_radius: float = quantity(0.2, 'standard deviation of the patch', 'm', low=TINY)
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether the factor is 1 everywhere and always."""
+        return not (any(self.slope) or self.gust or self.patch)
+
+    def __call__(self, t: float, x: Array) -> Array:
+        """Return the factor (...) at t and places x (..., 2)."""
+        slope = np.maximum(1.0 + self.slope[0] * x[..., 0] + self.slope[1] * x[..., 1], 0.0)
+        gust = 1.0 + self.gust * math.sin(2.0 * math.pi * t / self.period)
+        from_patch = np.square((x - self.patch_centre) / self.patch_radius).sum(axis=-1)
+        return np.asarray(slope * gust * (1.0 + self.patch * np.exp(-0.5 * from_patch)))
+
+
 @dataclass(frozen=True)
 class Crowd(Parameters):
-    """How sheep move (paper, state system). The defaults are the preset `cohesive`."""
+    """How sheep move (paper, state system). The defaults are the preset `cohesive`.
+
+    What moves sheep at random is explained in `noise`.
+    """
 
     sheep: Morse = Morse(1.0, 1e-2, 5e-4, 2.0)
     dog: Morse = Morse(1e-2, 0.5, 5e-4, 2.0)
@@ -134,6 +193,10 @@ class Crowd(Parameters):
     noise: float = quantity(
         0.01, 'strength sigma of the random force on each sheep', 'm/s^1.5', low=0.0
     )
+    common_noise: float = quantity(
+        0.0, 'share of its variance that all sheep have in common', low=0.0, high=1.0
+    )
+    noise_field: NoiseField | NoiseFunction = NoiseField()
 
 
 CROWDS = {

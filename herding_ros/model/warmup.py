@@ -8,7 +8,8 @@ import numpy as np
 
 from . import kernels
 from .dynamics import physics, rollout
-from .ensemble import expected_positions, noise_paths
+from .ensemble import expected_positions
+from .noise import noise_paths
 from .parameters import Crowd
 from .state import HerdState
 
