@@ -12,10 +12,10 @@ from typing import TypeVar
 import numpy as np
 
 from herding_ros.model.admissible import project
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
 from herding_ros.model.noise import noise_paths, NoisePaths
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping

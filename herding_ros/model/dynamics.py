@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 
 from . import kernels
+from .crowd import Crowd
 from .noise import factor, is_uniform
-from .parameters import Crowd
 from .state import Array, finite, HerdState, Trajectory
 
 

@@ -9,10 +9,10 @@ import os
 import numpy as np
 
 from . import kernels
+from .crowd import Crowd
 from .dynamics import check_control, physics, to_lanes
 from .kernels import PATHS
 from .noise import factor, is_uniform, NoisePaths
-from .parameters import Crowd
 from .state import Array, HerdState
 
 

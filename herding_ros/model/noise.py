@@ -19,8 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import kernels
+from .crowd import Crowd
 from .kernels import PATHS
-from .parameters import Crowd, NoiseField, NoiseFunction
+from .noise_field import NoiseField, NoiseFunction
 from .state import Array
 
 

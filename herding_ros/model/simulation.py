@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from .admissible import project
+from .crowd import Crowd
 from .dynamics import rollout
 from .flock import arrived, spread
 from .noise import increments
-from .parameters import Crowd, Parameters, quantity, TINY
+from .parameters import Parameters, quantity, TINY
 from .scenario import initial_herd
 from .state import Array, HerdState
 

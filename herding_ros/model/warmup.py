@@ -7,10 +7,10 @@ import time
 import numpy as np
 
 from . import kernels
+from .crowd import Crowd
 from .dynamics import physics, rollout
 from .ensemble import expected_positions
 from .noise import noise_paths
-from .parameters import Crowd
 from .state import HerdState
 
 

@@ -5,11 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import forces, rollout
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.kernels import lanes, PATHS
 from herding_ros.model.noise import increments, noise_paths, strength
-from herding_ros.model.parameters import Crowd, Morse, NoiseField, NoiseFunction
+from herding_ros.model.noise_field import NoiseField, NoiseFunction
+from herding_ros.model.potentials import Morse
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
