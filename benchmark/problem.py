@@ -14,7 +14,8 @@ from herding_ros.control.parameters import Control
 from herding_ros.control.reference import reference
 from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array
 

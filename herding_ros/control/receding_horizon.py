@@ -13,8 +13,9 @@ import numpy as np
 
 from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
+from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping
@@ -149,7 +150,9 @@ class RecedingHorizon:
             coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
             wanted = coarse_centre(solution.u)
         if control.mapping.max_iterations and not out_of_time():
-            mapping, extractions = self._map(coarse, coarse_centre, solution.u, clock, out_of_time)
+            mapping, extractions = self._map(
+                coarse, coarse_centre, solution.u, t, clock, out_of_time
+            )
         else:
             left_out = Status.OUT_OF_TIME if control.mapping.max_iterations else Status.CONVERGED
             mapping = MappingResult(solution.u, wanted, left_out, (), ())
@@ -227,6 +230,7 @@ class RecedingHorizon:
         coarse: CoarseModel,
         coarse_centre: Callable[[Array], Array],
         u_coarse: Array,
+        t: float,
         clock: _Stopwatch,
         out_of_time: OutOfTime,
     ) -> tuple[MappingResult, int]:
@@ -234,14 +238,14 @@ class RecedingHorizon:
         horizon, mapping = self.control.horizon, self.control.mapping
         gamma = self.control.weights.control
         wanted = coarse_centre(u_coarse)
-        noise = self._common_noise(len(coarse.state.x), len(wanted) - 1)
+        noise = self._shared_paths(len(coarse.state.x), len(wanted) - 1)
         every = max(round(_NODE_SPACING / horizon.dt), 1)
         calls = 0
 
         def fine(u: Array) -> Array:
             with clock.phase('fine'):
                 mean = expected_positions(
-                    self.crowd, coarse.state, u, horizon.dt, horizon.substeps, noise
+                    self.crowd, coarse.state, u, horizon.dt, horizon.substeps, noise, t=t
                 )
                 return centre(mean)
 
@@ -319,7 +323,7 @@ class RecedingHorizon:
             )
         return result, calls
 
-    def _common_noise(self, n: int, steps: int) -> NoisePaths:
+    def _shared_paths(self, n: int, steps: int) -> NoisePaths:
         if self._noise is None or self._noise_sheep != n:
             rng = np.random.default_rng(self.seed)
             paths, dt = self.control.mapping.paths, self.control.horizon.dt

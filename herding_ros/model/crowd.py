@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from .noise_field import NoiseField, NoiseFunction
 from .parameters import Parameters, quantity
 from .potentials import Morse, Potential
 
 
 @dataclass(frozen=True)
 class Crowd(Parameters):
-    """How sheep move (paper, state system). The defaults are the preset `cohesive`."""
+    """How sheep move (paper, state system). The defaults are the preset `cohesive`.
+
+    What moves sheep at random is explained in `noise`.
+    """
 
     sheep: Potential = Morse(1.0, 1e-2, 5e-4, 2.0)
     dog: Potential = Morse(1e-2, 0.5, 5e-4, 2.0)
@@ -18,6 +22,10 @@ class Crowd(Parameters):
     noise: float = quantity(
         0.01, 'strength sigma of the random force on each sheep', 'm/s^1.5', low=0.0
     )
+    common_noise: float = quantity(
+        0.0, 'share of its variance that all sheep have in common', low=0.0, high=1.0
+    )
+    noise_field: NoiseField | NoiseFunction = NoiseField()
 
 
 CROWDS = {

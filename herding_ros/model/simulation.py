@@ -8,8 +8,9 @@ import numpy as np
 
 from .admissible import project
 from .crowd import Crowd
-from .dynamics import increments, rollout
+from .dynamics import rollout
 from .flock import arrived, spread
+from .noise import increments
 from .parameters import Parameters, quantity, TINY
 from .scenario import initial_herd
 from .state import Array, HerdState
@@ -88,7 +89,8 @@ class Simulation:
         world = self.world
         u = project(u, world.max_speed)
         noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)
-        trajectory = rollout(self.crowd, self.state, u[None], world.dt, world.substeps, noise)
+        t = self.nanoseconds * 1e-9
+        trajectory = rollout(self.crowd, self.state, u[None], world.dt, world.substeps, noise, t)
         self.state = trajectory.at(-1)
         self.dog_velocities = u
         self.periods += 1

@@ -9,7 +9,8 @@ import numpy as np
 from . import kernels
 from .crowd import Crowd
 from .dynamics import physics, rollout
-from .ensemble import expected_positions, noise_paths
+from .ensemble import expected_positions
+from .noise import noise_paths
 from .state import HerdState
 
 

@@ -34,7 +34,7 @@ from herding_ros.model.state import Array, HerdState
 from . import messages
 from .background import Work
 from .observations import Observations, Observed
-from .parameters import declare, declare_crowd, HerdingNode, NodeSettings
+from .parameters import declare, declare_crowd, HerdingNode, LIVE_NOISE, NodeSettings
 from .rivals import sole_publisher
 from .running import (
     ADJUSTABLE,
@@ -46,7 +46,7 @@ from .running import (
     UNWATCHED,
 )
 
-LIVE = ('weights.', 'crowd.noise', 'horizon.length', 'horizon.accepted', 'max_speed')
+LIVE = ('weights.', *LIVE_NOISE, 'horizon.length', 'horizon.accepted', 'max_speed')
 """Parameters that may change while the controller runs; they count from the next plan on."""
 
 _PATH_SPACING = 0.5

@@ -26,7 +26,7 @@ from herding_ros.model.state import Array
 
 from . import messages
 from .inbox import Inbox
-from .parameters import declare, declare_crowd, HerdingNode, NodeSettings
+from .parameters import declare, declare_crowd, HerdingNode, LIVE_NOISE, NodeSettings
 from .refusals import Refused
 from .rivals import sole_publisher
 from .running import (
@@ -39,7 +39,7 @@ from .running import (
     UNWATCHED,
 )
 
-LIVE = ('real_time_factor', 'crowd.noise')
+LIVE = ('real_time_factor', *LIVE_NOISE)
 """Parameters that may change while the sim runs."""
 
 CATCH_UP = 1.0

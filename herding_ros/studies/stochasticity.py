@@ -114,12 +114,12 @@ def tasks(options: Options) -> list[Task]:
                 'control': _settings('paper', paths),
                 'optimiser': optimiser,
                 'observable': observable,
-                'common_noise': common_noise,
+                'common_numbers': common_numbers,
                 'broyden': broyden,
             },
             cost=0.2 if quick else 3.5,
         )
-        for optimiser, observable, common_noise, broyden, sigma, seed in product(
+        for optimiser, observable, common_numbers, broyden, sigma, seed in product(
             ('spg', 'ncg'),
             ('centre',) if quick else ('centre', 'individuals'),
             (True, False),
@@ -278,20 +278,20 @@ def _variants(results: Results, paths: int) -> str:
         for key in ('before', 'judged_before'):
             first.append(str(Mean.of([window[key] for window in windows])))
     rows = [[*first, '']]
-    for optimiser, observable, common_noise, broyden in product(
+    for optimiser, observable, common_numbers, broyden in product(
         ('spg', 'ncg'), ('centre', 'individuals'), (True, False), (True, False)
     ):
         found = variants.of(
             'variant',
             optimiser=optimiser,
             observable=observable,
-            common_noise=common_noise,
+            common_numbers=common_numbers,
             broyden=broyden,
         )
         cells = [
             optimiser.upper(),
             observable,
-            'common' if common_noise else 'new each time',
+            'common' if common_numbers else 'new each time',
             'Broyden' if broyden else 'B = I',
         ]
         for sigma in sigmas:

@@ -17,7 +17,8 @@ from herding_ros.control.spg import spg
 from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
 
@@ -304,3 +305,32 @@ def test_plan_on_the_default_time_grid_costs_no_more_than_one_on_the_sims(
         for each in (control, fine)
     )
     assert played == pytest.approx(best, rel=2e-4)
+
+
+def test_the_fine_model_knows_the_time_of_the_window() -> None:
+    """A noise that begins at 100 s spoils no plan for now, and spoils one for then."""
+    state, late = herd(9, 2), Crowd(noise=0.03, noise_field=lambda t, x: float(t >= 99.9))
+    before, after = (RecedingHorizon(late, SMALL, GOAL).solve(state, t) for t in (0.0, 100.0))
+    assert before.report.mapping_error_before < 1e-13
+    always = solved(0.03, SMALL, state)
+    found, expected = after.report.mapping_error_before, always.report.mapping_error_before
+    assert found == pytest.approx(expected, rel=1e-9)
+    assert expected > 1e-3
+
+
+def test_common_noise_spoils_the_mean_of_few_paths_more() -> None:
+    """The centre of one path is off by sqrt(c + (1 - c) / N) sigma ..., which a mapping sees."""
+    control, state = without_mapping(SMALL), herd(16, 3)
+    window = solved(0.0, control, state)
+    steps = len(window.centre) - 1
+
+    def off(share: float, seed: int) -> float:
+        crowd = Crowd(noise=0.03, common_noise=share)
+        noise = noise_paths(np.random.default_rng(seed), crowd, 16, window.dt, steps, 16)
+        mean = expected_positions(
+            crowd, state, window.plan.u, window.dt, control.horizon.substeps, noise
+        )
+        return l2(mean.mean(axis=1) - window.centre, window.dt)
+
+    individual, common = (np.mean([off(share, seed) for seed in range(8)]) for share in (0.0, 1.0))
+    assert common > 2.0 * individual

@@ -13,8 +13,9 @@ from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control, Horizon, Mapping, Optimiser, PAPER
 from herding_ros.model.admissible import project
-from herding_ros.model.ensemble import expected_positions, noise_paths
+from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
+from herding_ros.model.noise import noise_paths
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.case import Case
 from herding_ros.studies.experiments.direct import pathwise_gradient
@@ -109,7 +110,7 @@ def variant(**changes: Any) -> dict[str, Any]:
     given = {
         'optimiser': 'spg',
         'observable': 'centre',
-        'common_noise': True,
+        'common_numbers': True,
         'broyden': True,
         'iterations': 2,
     } | changes
@@ -132,7 +133,7 @@ def test_each_switch_changes_what_it_should() -> None:
     # Both start with B = I, so that they part at the second correction.
     assert plain['misfits'][:2] == base['misfits'][:2]
     assert plain['misfits'][2] != base['misfits'][2]
-    fresh = variant(common_noise=False)
+    fresh = variant(common_numbers=False)
     assert fresh['misfits'][0] == base['misfits'][0]
     assert fresh['misfits'][1] != base['misfits'][1]
     assert variant(observable='individuals')['first_residual'] != base['first_residual']
