@@ -19,6 +19,17 @@ class Weights(Parameters):
         "weight of each dog's distance from the reference; keeps dogs from running off",
         low=0.0,
     )
+    terminal: float = quantity(
+        0.0,
+        'weight of centre and spread at the end of the window: it counts as if it went on for '
+        'so long',
+        's',
+        low=0.0,
+    )
+    containment: float = quantity(
+        0.0, 'weight of sheep outside the disc of this radius around the reference', '1/m', low=0.0
+    )
+    radius: float = quantity(0.6, 'radius of that disc', 'm', low=0.0)
 
 
 @dataclass(frozen=True)

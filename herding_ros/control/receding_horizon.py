@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -20,6 +20,8 @@ from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping
 from .adjoint import CentreSensitivity, CoarseModel
+from .costs.cost import Cost
+from .costs.tracking import Tracking
 from .gauss_newton import gauss_newton
 from .ncg import ncg
 from .objective import Objective
@@ -90,13 +92,15 @@ class RecedingHorizon:
     """Plans window after window, each solve started from what the last one found.
 
     The noise paths are drawn once from the seed and shared by all evaluations of the fine
-    model (common random numbers), in this and all later windows.
+    model (common random numbers), in this and all later windows. `costs` are added to those
+    that the weights ask for.
     """
 
     crowd: Crowd
     control: Control
     goal: Array
     seed: int = 0
+    costs: Sequence[Cost] = ()
     _last: Plan | None = field(default=None, init=False)
     _noise: NoisePaths | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
@@ -189,9 +193,7 @@ class RecedingHorizon:
             steps = horizon.intervals * substeps
             times = model.dt * np.arange(steps + 1, dtype=np.float64)
             route = reference(self.control.reference, coarse.state, self.goal, times)
-            objective = Objective(
-                weights.centre, weights.spread, weights.control, route, no_control, weights.dogs
-            )
+            objective = Objective.weighted(weights, route, no_control, self.costs)
             solutions.append(self._optimise(model, objective, u, limit, out_of_time))
             u = solutions[-1].u
             limit = -(-limit // 3)
@@ -280,7 +282,7 @@ class RecedingHorizon:
         def match_individuals(target: Array, start: Array) -> Array:
             nonlocal calls
             with clock.phase('extraction'):
-                objective = Objective(1.0, 1.0, gamma, target, u_coarse)
+                objective = Objective([Tracking(1.0, 1.0, target)], gamma, u_coarse)
                 limit = self.control.optimiser.max_iterations
                 found = self._optimise(coarse, objective, start, limit, out_of_time)
                 calls += found.calls

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control, Horizon, Mapping, Optimiser, PAPER
 from herding_ros.control.plan import Plan
@@ -174,7 +175,8 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
         return expected_centre(0.03, state, Plan(0.0, coarse.interval, u), found.dt, noise)
 
     def extract(target: Array, start: Array) -> Array:
-        cost = partial(coarse.value_and_gradient, Objective(1.0, 0.0, gamma, target, u_coarse))
+        objective = Objective([Tracking(1.0, 0.0, target)], gamma, u_coarse)
+        cost = partial(coarse.value_and_gradient, objective)
         return spg(cost, admissible, start, coarse.inner, 1e-7, 1000).u
 
     expected = aggressive(
@@ -296,10 +298,8 @@ def test_plan_on_the_default_time_grid_costs_no_more_than_one_on_the_sims(
     state = herd(30, 5, seed)
     model = CoarseModel(Crowd(), state, fine.horizon.dt, fine.horizon.substeps)
     times = np.arange(2001) * fine.horizon.dt
-    weights = control.weights
     route = reference(control.reference, state, GOAL, times)
-    rest = np.zeros((200, 5, 2))
-    cost = Objective(weights.centre, weights.spread, weights.control, route, rest, weights.dogs)
+    cost = Objective.weighted(control.weights, route, np.zeros((200, 5, 2)))
     played, best = (
         model.value_and_gradient(cost, solved(0.0, each, state).plan.u)[0]
         for each in (control, fine)
