@@ -16,6 +16,7 @@ _TITLES = {
     'symmetry': 'Symmetric herds (section 6.3)',
     'baselines': 'Against simpler controllers',
     'observation': 'Noisy observations',
+    'common_noise': 'Noise that all sheep have in common (remark in section 2.1)',
 }
 
 
