@@ -113,7 +113,8 @@ def _figure(results: Results, numbers: list[int], figures: Path) -> str:
     )
     for place, share in zip(ways, (SHARES[0], SHARES[-1]), strict=True):
         place.set_title(f'share in common {share:g}', fontsize=9)
-        for trace in results.of('common_noise', common_noise=share).values('trace'):
+        found = results.of('common_noise', common_noise=share)
+        for trace in [each['trace'] for each in found if 'trace' in each]:
             for single in trace['singles']:
                 place.plot(*np.transpose(single), color=BLUE, linewidth=0.7, alpha=0.5)
             place.plot(*np.transpose(trace['wanted']), color='black', linestyle='--')
