@@ -63,7 +63,9 @@ class ControllerSettings(NodeSettings):
     """How the controller behaves as a ROS node."""
 
     dogs: int = quantity(5, 'number of dogs', low=1)
-    most_sheep: int = quantity(1000, 'a message with more sheep than this is refused', low=1)
+    most_sheep: int = quantity(
+        100_000, 'a message with more sheep than this is refused', low=1, high=1_000_000
+    )
     seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
     lead: float = quantity(
         2.0, 'time before its window at which a plan is begun, not in lockstep', 's', low=0.0

@@ -13,7 +13,16 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from . import baselines, dogs, evacuation, observation, stabilisation, stochasticity, symmetry
+from . import (
+    baselines,
+    common_noise,
+    dogs,
+    evacuation,
+    observation,
+    stabilisation,
+    stochasticity,
+    symmetry,
+)
 from .reproduction import page, single
 from .runner import compute, Outcome
 from .store import Store
@@ -28,6 +37,7 @@ STUDIES: dict[str, Study] = {
     'baselines': baselines,
     'observation': observation,
     'evacuation': evacuation,
+    'common_noise': common_noise,
 }
 
 _DONE, _FAILED, _BAD_ARGUMENTS, _INTERRUPTED = 0, 1, 2, 130

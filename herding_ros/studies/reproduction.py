@@ -17,6 +17,7 @@ _TITLES = {
     'baselines': 'Against simpler controllers',
     'observation': 'Noisy observations',
     'evacuation': 'Evacuation: guides in place of dogs',
+    'common_noise': 'Noise that all sheep have in common (remark in section 2.1)',
 }
 
 

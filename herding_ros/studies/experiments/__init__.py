@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from . import direct, herding, observation, symmetry, variant, window
+from . import common_noise, direct, herding, observation, symmetry, variant, window
 
 EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
+    'common_noise': common_noise.run,
     'direct': direct.run,
     'herding': herding.run,
     'observation': observation.run,

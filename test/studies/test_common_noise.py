@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+from dataclasses import replace
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from herding_ros.control.parameters import Control, Horizon, Mapping, PAPER
+from herding_ros.model.crowd import Crowd
+from herding_ros.studies import common_noise
+from herding_ros.studies.experiments import EXPERIMENTS
+from herding_ros.studies.experiments.case import Case
+from herding_ros.studies.experiments.settings import differences
+from herding_ros.studies.study import Options, Results
+
+SHORT = Horizon(length=8.0, accepted=4.0)
+CONTROL = replace(PAPER, horizon=SHORT, mapping=Mapping(paths=20, max_iterations=2, accuracy=1e-9))
+HERD = {'sheep': 9, 'dogs': 2, 'sigma': 0.03, 'seed': 1}
+
+
+def run(share: float, **changes: Any) -> dict[str, Any]:
+    given = {**HERD, 'common_noise': share, 'judge_paths': 200, 'trace': False} | changes
+    return EXPERIMENTS['common_noise'](**given, control=differences(CONTROL, Control()))
+
+
+def test_individual_noise_is_that_of_the_other_studies() -> None:
+    window = EXPERIMENTS['window'](
+        **HERD, judge_paths=200, trace=False, control=differences(CONTROL, Control())
+    )
+    found = run(0.0)
+    for key in ('before', 'after', 'iterations'):
+        assert found[key] == window[key]
+    assert found['uncertainty'] < 0.5 * window['uncertainty']  # since the paths are mirrored
+
+
+def test_the_case_has_the_share_asked_for() -> None:
+    assert Case(9, 2, 0.03, 1, CONTROL, 0.25).crowd == Crowd(noise=0.03, common_noise=0.25)
+
+
+def test_a_single_path_wanders_as_a_free_flock_does_nearly() -> None:
+    """Its centre has the variance (c + (1 - c) / N) of that of a sheep, and dogs to mind."""
+    steps, dt, alpha = 160, 0.05, 0.5
+    # Response of the position to an increment of the velocity after j more steps.
+    response = dt * np.cumsum((1.0 - alpha * dt) ** np.arange(steps - 1))
+    variances = 0.03**2 * dt * np.concatenate([[0.0, 0.0], np.cumsum(np.square(response))])
+    free = math.sqrt(2.0 * dt * variances.sum())
+    for share in (0.0, 0.5, 1.0):
+        expected = math.sqrt(share + (1.0 - share) / 9.0) * free
+        assert run(share)['wander'] == pytest.approx(expected, rel=0.3)
+
+
+def test_mirrored_judges_agree_with_plain_ones() -> None:
+    each = Case(9, 2, 0.03, 1, CONTROL, 1.0)
+    u = each.deterministic.plan.u
+    (plain, rough), (mirrored, fine) = (each.judge(u, 2000, flag) for flag in (False, True))
+    assert fine < 0.4 * rough
+    difference = math.sqrt(each.coarse.dt * np.square(plain - mirrored).sum())
+    assert difference < 3.0 * rough
+
+
+def test_traces_start_where_the_flock_does_and_part() -> None:
+    trace = run(1.0, trace=True)['trace']
+    singles = np.array(trace['singles'])
+    assert singles.shape == (20, 17, 2)
+    np.testing.assert_allclose(singles[:, 0], np.tile(trace['wanted'][0], (20, 1)), atol=1e-5)
+    assert np.std(singles[:, -1], axis=0).min() > 0.02
+
+
+def made_up() -> Results:
+    entries = []
+    for task in common_noise.tasks(Options(seeds=3)):
+        given = task.parameters
+        share, seed = given['common_noise'], given['seed']
+        result: dict[str, Any] = {
+            'iterations': 4, 'before': 0.1, 'after': 0.01, 'judged_before': 0.08,
+            'judged_after': 0.008 * (1.0 + share) + 0.001 * (seed - 1), 'uncertainty': 0.001,
+            'wander': 0.2 + 0.8 * share,
+        }  # fmt: skip
+        if given['trace']:
+            result['trace'] = {'wanted': [[0, 0], [1, 1]], 'singles': [[[0, 0], [1, share]]] * 2}
+        entries.append((task, json.loads(json.dumps(result))))
+    return Results(entries)
+
+
+def test_page_tells_what_the_results_say(tmp_path: Path) -> None:
+    section = common_noise.draw(made_up(), tmp_path)
+    lines = section.values['table'].splitlines()
+    assert len(lines) == 2 + 2 * len(common_noise.SHARES)
+    (line,) = [each for each in lines if each.startswith('| 100 | 1 |')]
+    assert '| 0.0800 | 0.01600 ± 0.00058 | 0.2000 ± 0.0072 | 0.100 | 1.00 |' in line
+    assert (tmp_path / 'common_noise.png').stat().st_size > 10_000
+    assert len(section.rows) == 8
+    assert section.values['seeds'] == '3'
+
+
+def test_the_same_flocks_under_every_share() -> None:
+    tasks = common_noise.tasks(Options(seeds=2))
+    seeds = {
+        (share, common_noise._paths(task.parameters)): 0
+        for share in common_noise.SHARES
+        for task in tasks
+    }
+    for task in tasks:
+        key = task.parameters['common_noise'], common_noise._paths(task.parameters)
+        seeds[key] += 1
+    assert set(seeds.values()) == {2}
+    assert sum(task.parameters['trace'] for task in tasks) == 2
