@@ -13,7 +13,7 @@ from .potentials import Morse, Potential
 class Crowd(Parameters):
     """How sheep move (paper, state system). The defaults are the preset `cohesive`.
 
-    What moves sheep at random is explained in `noise`.
+    How the last three make up the random force is told in `noise`.
     """
 
     sheep: Potential = Morse(1.0, 1e-2, 5e-4, 2.0)
@@ -25,7 +25,7 @@ class Crowd(Parameters):
     common_noise: float = quantity(
         0.0, 'share of its variance that all sheep have in common', low=0.0, high=1.0
     )
-    noise_field: NoiseField | NoiseFunction = NoiseField()
+    noise_field: NoiseFunction = NoiseField()
 
 
 CROWDS = {

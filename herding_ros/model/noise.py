@@ -72,7 +72,7 @@ def _brownian(rng: np.random.Generator, crowd: Crowd, shape: tuple[int, ...]) ->
     return own
 
 
-def is_uniform(field: NoiseField | NoiseFunction) -> bool:
+def is_uniform(field: NoiseFunction) -> bool:
     """Whether sigma is known to be the same everywhere and always."""
     return isinstance(field, NoiseField) and field.is_uniform
 

@@ -1,32 +1,38 @@
-"""How the strength of the noise depends on time and place."""
+"""Where and when the random force on sheep is strong: a factor of sigma, by time and place."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 import math
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from .parameters import Parameters, quantity, TINY
 from .state import Array
 
-NoiseFunction = Callable[[float, Array], Array | float]
-"""A factor of sigma: from a time [s] and any places (N, 2) [m] to (N,), or one number for all.
 
-Finite and not negative. The crowd's equations have a solution if |f(t, x)| <= C (1 + |x|) and
-|f(t, x) - f(t, y)| <= D |x - y| for some C and D (paper, remark in section 2.2).
-"""
+@runtime_checkable
+class NoiseFunction(Protocol):
+    """A factor f of sigma, by time t [s] and place x [m]; any Python function will do.
+
+    It is finite and not negative, and depends on each place alone. The crowd's equations have a
+    solution if f(t, x) <= C (1 + |x|) and |f(t, x) - f(t, y)| <= D |x - y| for some C and D
+    (paper, remark in section 2.2).
+    """
+
+    def __call__(self, t: float, x: Array, /) -> Array | float:
+        """Return the factor (N,) at t and places x (N, 2), or one number for all."""
 
 
 @dataclass(frozen=True)
 class NoiseField(Parameters):
-    """How the noise depends on time t [s] and place x [m]: a factor of sigma, 1 by default.
+    """A factor of sigma that grows along a slope, swings in time and is other in a patch.
 
     f(t, x) = max(1 + g.x, 0) (1 + a sin(2 pi t / T)) (1 + p exp(-|x - c|^2 / (2 l^2)))
 
-    with slope g, gust a, period T, and a patch p at c of radius l. It keeps the paper's
-    conditions, f(t, x) <= C (1 + |x|) and |f(t, x) - f(t, y)| <= D |x - y|, with
+    with slope g, gust a, period T, and a patch p at c of radius l; 1 by default. It keeps the
+    conditions of `NoiseFunction` with
 
     C = (1 + a) (1 + max(p, 0)) max(1, |g|),
     D = (1 + a) (|g| (1 + max(p, 0)) + |p| ((1 + |g| |c|) e^(-1/2) / l + 2 |g| / e)).

@@ -8,8 +8,7 @@ import dataclasses
 from dataclasses import dataclass
 import math
 from numbers import Real
-from types import UnionType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -42,13 +41,11 @@ class Parameters:
                 checked = check(f'{type(self).__name__}.{field.name}', value, field)
                 object.__setattr__(self, field.name, checked)
             else:
-                group, hint = getattr(self, field.name), get_type_hints(type(self))[field.name]
-                kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
-                allowed = tuple(get_origin(kind) or kind for kind in kinds)
-                if isinstance(group, type) or not isinstance(group, allowed):
-                    names = ' or a '.join(kind.__name__ for kind in kinds)
+                group, kind = getattr(self, field.name), get_type_hints(type(self))[field.name]
+                if not isinstance(group, kind):
                     raise ValueError(
-                        f'{type(self).__name__}.{field.name} is {group!r}, allowed is a {names}'
+                        f'{type(self).__name__}.{field.name} is {group!r}, '
+                        f'allowed is a {kind.__name__}'
                     )
 
 

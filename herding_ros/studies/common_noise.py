@@ -28,7 +28,7 @@ _SIGMA = 0.03
 
 def _settings(paths: int) -> dict[str, Any]:
     """Settings of the paper's window with our mapping, four iterations whatever happens."""
-    mapping = Mapping('output', paths, max_iterations=4, accuracy=1e-9)
+    mapping = Mapping('output', paths=paths, max_iterations=4, accuracy=1e-9)
     return differences(replace(PAPER, mapping=mapping), Control())
 
 

@@ -76,9 +76,9 @@ def made_up() -> Results:
         given = task.parameters
         share, seed = given['common_noise'], given['seed']
         result: dict[str, Any] = {
-            'iterations': 4, 'before': 0.1, 'after': 0.01, 'judged_before': 0.08,
+            'iterations': 4, 'before': 0.125, 'after': 0.01, 'judged_before': 0.08,
             'judged_after': 0.008 * (1.0 + share) + 0.001 * (seed - 1), 'uncertainty': 0.001,
-            'wander': 0.2 + 0.8 * share,
+            'wander': 0.2 + 0.8 * share + 0.02 * (seed - 1),
         }  # fmt: skip
         if given['trace']:
             result['trace'] = {'wanted': [[0, 0], [1, 1]], 'singles': [[[0, 0], [1, share]]] * 2}
@@ -91,7 +91,7 @@ def test_page_tells_what_the_results_say(tmp_path: Path) -> None:
     lines = section.values['table'].splitlines()
     assert len(lines) == 2 + 2 * len(common_noise.SHARES)
     (line,) = [each for each in lines if each.startswith('| 100 | 1 |')]
-    assert '| 0.0800 | 0.01600 ± 0.00058 | 0.2000 ± 0.0072 | 0.100 | 1.00 |' in line
+    assert '| 0.01600 ± 0.00058 | 0.2000 ± 0.0072 | 0.1000 ± 0.0012 | 1.000 ± 0.012 |' in line
     assert (tmp_path / 'common_noise.png').stat().st_size > 10_000
     assert len(section.rows) == 8
     assert section.values['seeds'] == '3'
