@@ -28,8 +28,12 @@ from .crowd import Crowd
 from .potentials import Mollified
 from .state import Array, HerdState
 
-_OVERLAP = 1.0
-"""Width of a blob in units of the distance between two."""
+_OVERLAP = 0.7
+"""Width of a blob in units of the distance between two.
+
+Less, and few blobs are no density; more, and the flock has no edge. Measured against 10,000
+sheep, any from 0.6 to 0.8 is as good.
+"""
 _WIDTHS_PER_OCTAVE = 4
 """Widths are rounded, so that one table serves many windows."""
 _LEAST_WIDTH = 1e-3

@@ -12,7 +12,6 @@ from scipy.special import i0e, i1e
 from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.state import Array
 
-from .morse import Morse
 from .potential import Potential
 
 _WINDOW = 8.0
@@ -37,7 +36,7 @@ class Mollified(Potential):
     becomes 2 pi l^2 C times the Gaussian; what varies slowly over a width stays as it is.
     """
 
-    potential: Potential = Morse()
+    potential: Potential
     width: float = quantity(0.05, 'standard deviation of the Gaussian', 'm', low=TINY)
 
     @property
