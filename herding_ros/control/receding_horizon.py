@@ -132,6 +132,14 @@ class RecedingHorizon:
         """Plan with these from the next solve on."""
         self.crowd, self.control, self._noise = crowd, control, None
 
+    def coarse_model(self, state: HerdState) -> CoarseModel:
+        """Return the model without noise: the flock itself, or the limit of a large one."""
+        crowd, horizon, markers = self.crowd, self.control.horizon, self.control.coarse.markers
+        # Of less than two sheep to each blob the limit is no simpler, and worse.
+        if len(state.x) > 2 * markers:
+            crowd, state = mean_field(crowd, state, markers)
+        return CoarseModel(crowd, state, horizon.dt, horizon.substeps)
+
     def solve(self, state: HerdState, t: float, out_of_time: OutOfTime = never) -> Window:
         """Plan the window that starts at t [s] in the given state.
 
@@ -140,7 +148,7 @@ class RecedingHorizon:
         """
         clock = _Stopwatch()
         control, horizon = self.control, self.control.horizon
-        coarse = self._coarse_model(state)
+        coarse = self.coarse_model(state)
         with clock.phase('coarse'):
             solution = self._solve_coarse(coarse, t, out_of_time)
             coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
@@ -172,14 +180,6 @@ class RecedingHorizon:
             seconds=clock.seconds(),
         )
         return Window(plan, report, horizon.dt, mapping.output, coarse.rollout(plan.u).d)
-
-    def _coarse_model(self, state: HerdState) -> CoarseModel:
-        """Return the model without noise: the flock itself, or the limit of a large one."""
-        crowd, horizon, markers = self.crowd, self.control.horizon, self.control.coarse.markers
-        # Of less than two sheep to each blob the limit is no simpler, and worse.
-        if len(state.x) > 2 * markers:
-            crowd, state = mean_field(crowd, state, markers)
-        return CoarseModel(crowd, state, horizon.dt, horizon.substeps)
 
     def _fine_centre(self, state: HerdState, u: Array) -> Array:
         """Return the expected centre (K+1, 2) [m] of the flock itself under the control u."""
