@@ -102,7 +102,9 @@ def draw(results: Results, figures: Path) -> Section:
     rates = {name: _rate(results, name) for name in _QUANTITIES}
     mapped = [
         result['after'] / result['before']
-        for task, result in results.of('mean_field_mapping', sigma=_SIGMAS[-1]).entries
+        for task, result in results.of(
+            'mean_field_mapping', sheep=_MAPPED, sigma=_SIGMAS[-1]
+        ).entries
         if task.parameters['control']['coarse']['markers'] == _COARSE['mean-field limit']
     ]
     worst = max(mapped, default=None)
@@ -241,16 +243,18 @@ def _figure(results: Results, figures: Path) -> str:
                 for sheep in _FLOCKS
                 if (errors := _errors(results, sheep, *path, name))
             }
+            if not found:
+                continue
             place.errorbar(
                 list(found), [each.value for each in found.values()],
                 yerr=[np.nan_to_num(each.error) for each in found.values()],
                 fmt=style, color=colour, markersize=4, linewidth=1.2, capsize=2, label=label,
             )  # fmt: skip
-        n = np.array([100.0, 10_000.0])
-        first = _errors(results, 100, 'flock', str(_LIMIT), name)
+        first = _errors(results, min(_FLOCKS), 'flock', str(_LIMIT), name)
         if first:
-            place.plot(n, np.mean(first) * 2.0 * n[0] / n, color='black', linewidth=0.6)
-            place.text(1500.0, np.mean(first) * 2.5 * 100.0 / 1500.0, '1/N', fontsize=8)
-        place.set(xscale='log', yscale='log', xlabel='N', ylabel=f'error of the {name} [m]')
+            n = np.array([min(_FLOCKS), max(_FLOCKS)])
+            place.plot(n, 2.0 * np.mean(first) * n[0] / n, color='black', linewidth=0.6)
+            place.set(xscale='log', yscale='log')
+        place.set(xlabel='N', ylabel=f'error of the {name} [m]')
     axes[0, 0].legend(fontsize=7, frameon=False)
     return save(figure, figures / 'mean_field.png')
