@@ -98,6 +98,18 @@ class Horizon(Parameters):
 
 
 @dataclass(frozen=True)
+class Coarse(Parameters):
+    """The deterministic model that a plan is made with: all sheep, or their mean-field limit."""
+
+    markers: int = quantity(
+        128,
+        'points that stand for a flock of more than twice as many sheep (its mean-field limit); '
+        'smaller flocks are predicted sheep by sheep',
+        low=1,
+    )
+
+
+@dataclass(frozen=True)
 class Optimiser(Parameters):
     """How the deterministic problems are solved."""
 
@@ -174,6 +186,7 @@ class Control(Parameters):
     weights: Weights = Weights()
     reference: Reference = Reference()
     horizon: Horizon = Horizon()
+    coarse: Coarse = Coarse()
     optimiser: Optimiser = Optimiser()
     mapping: Mapping = Mapping()
     sensor: Sensor = Sensor()

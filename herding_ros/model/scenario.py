@@ -9,7 +9,7 @@ from .state import Array, HerdState
 GOAL = (0.5, 0.5)
 """The destination, unless another is given [m]."""
 
-_PASTURE = 0.4
+PASTURE = 0.4
 """Sheep start uniformly in a square of twice this side around the origin [m]."""
 DOG_RADIUS = 0.9
 _DOG_ARC = 0.9
@@ -25,7 +25,7 @@ def initial_herd(
     """
     if sheep < 1 or dogs < 1:
         raise ValueError(f'a herd needs at least one sheep and one dog, given {sheep} and {dogs}')
-    x = rng.uniform(-_PASTURE, _PASTURE, (sheep, 2))
+    x = rng.uniform(-PASTURE, PASTURE, (sheep, 2))
     side = goal if ahead else -goal
     angles = np.arctan2(side[1], side[0]) + (
         np.linspace(-_DOG_ARC, _DOG_ARC, dogs) if dogs > 1 else np.zeros(1)

@@ -18,6 +18,7 @@ from . import (
     common_noise,
     dogs,
     evacuation,
+    mean_field,
     observation,
     stabilisation,
     stochasticity,
@@ -38,6 +39,7 @@ STUDIES: dict[str, Study] = {
     'observation': observation,
     'evacuation': evacuation,
     'common_noise': common_noise,
+    'mean_field': mean_field,
 }
 
 _DONE, _FAILED, _BAD_ARGUMENTS, _INTERRUPTED = 0, 1, 2, 130

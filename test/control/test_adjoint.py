@@ -8,6 +8,7 @@ from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Weights
 from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.mean_field import mean_field
 from herding_ros.model.potentials import PowerLaw
 from herding_ros.model.state import Array, HerdState
 
@@ -81,6 +82,18 @@ def test_taylor_remainder_is_of_second_order_for_any_herd(
     problem: Callable[..., Problem], preset: str, n: int, m: int, substeps: int
 ) -> None:
     assert_second_order(problem(preset, n, m, substeps))
+
+
+@pytest.mark.parametrize('observable', OBSERVABLES)
+@pytest.mark.parametrize('substeps', [1, 5])
+def test_taylor_remainder_is_of_second_order_for_the_mean_field_limit(
+    problem: Callable[..., Problem], observable: str, substeps: int
+) -> None:
+    coarse, objective, u = problem('cohesive', 500, 3, substeps, observable)
+    crowd, blobs = mean_field(coarse.crowd, coarse.state, 48)
+    limit = dataclasses.replace(coarse, crowd=crowd, state=blobs)
+    assert limit.rollout(u).n == 48
+    assert_second_order((limit, objective, u))
 
 
 @presets
