@@ -12,9 +12,10 @@ from typing import TypeVar
 import numpy as np
 
 from herding_ros.model.admissible import project
-from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre
 from herding_ros.model.parameters import Crowd
+from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping
@@ -55,6 +56,10 @@ class SolveReport:
     """Evaluations of value and gradient in the coarse solve, on both time grids."""
     fine_calls: int
     """Monte Carlo evaluations of the fine model, each of all paths."""
+    paths: tuple[int, ...]
+    """Paths of an evaluation, by level, the finest last; empty without mapping."""
+    standard_error: float
+    """The largest of these evaluations' [m]; 0 without mapping."""
     extraction_calls: int
     """Rollouts of the coarse model in parameter extraction."""
     mapping_status: Status
@@ -88,8 +93,9 @@ class Window:
 class RecedingHorizon:
     """Plans window after window, each solve started from what the last one found.
 
-    The noise paths are drawn once from the seed and shared by all evaluations of the fine
-    model (common random numbers), in this and all later windows.
+    The noise is drawn from the seed and shared by all evaluations of the fine model (common
+    random numbers), in this and all later windows. How many paths each window takes of it, its
+    first evaluation settles.
     """
 
     crowd: Crowd
@@ -97,7 +103,7 @@ class RecedingHorizon:
     goal: Array
     seed: int = 0
     _last: Plan | None = field(default=None, init=False)
-    _noise: NoisePaths | None = field(default=None, init=False)
+    _noise: Noise | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -145,11 +151,13 @@ class RecedingHorizon:
             coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
             wanted = coarse_centre(solution.u)
         if control.mapping.max_iterations and not out_of_time():
-            mapping, extractions = self._map(coarse, coarse_centre, solution.u, clock, out_of_time)
+            mapping, extractions, expected = self._map(
+                coarse, coarse_centre, solution.u, clock, out_of_time
+            )
         else:
             left_out = Status.OUT_OF_TIME if control.mapping.max_iterations else Status.CONVERGED
             mapping = MappingResult(solution.u, wanted, left_out, (), ())
-            extractions = 0
+            extractions, expected = 0, []
         plan = Plan(t, horizon.control_period, mapping.u)
         self._last = plan
         report = SolveReport(
@@ -158,7 +166,9 @@ class RecedingHorizon:
             gradient_norm=solution.gradient_norm,
             optimiser_iterations=solution.iterations,
             optimiser_calls=solution.calls,
-            fine_calls=len(mapping.misfits),
+            fine_calls=len(expected),
+            paths=expected[0].paths if expected else (),
+            standard_error=max((each.standard_error for each in expected), default=0.0),
             extraction_calls=extractions,
             mapping_status=mapping.status,
             mapping_iterations=mapping.iterations,
@@ -227,21 +237,23 @@ class RecedingHorizon:
         u_coarse: Array,
         clock: _Stopwatch,
         out_of_time: OutOfTime,
-    ) -> tuple[MappingResult, int]:
-        """Correct the coarse optimum for the noise; also return the coarse solves' rollouts."""
+    ) -> tuple[MappingResult, int, list[Expectation]]:
+        """Correct the coarse optimum for the noise.
+
+        Also return the rollouts in parameter extraction, and what the fine model said.
+        """
         horizon, mapping = self.control.horizon, self.control.mapping
         gamma = self.control.weights.control
         wanted = coarse_centre(u_coarse)
-        noise = self._common_noise(len(coarse.state.x), len(wanted) - 1)
+        expectation = self._expectation(coarse.state, len(wanted) - 1)
         every = max(round(_NODE_SPACING / horizon.dt), 1)
         calls = 0
+        expected: list[Expectation] = []
 
         def fine(u: Array) -> Array:
             with clock.phase('fine'):
-                mean = expected_positions(
-                    self.crowd, coarse.state, u, horizon.dt, horizon.substeps, noise
-                )
-                return centre(mean)
+                expected.append(expectation(u))
+                return expected[-1].centre
 
         @_remembering
         def sensitivity(u: Array) -> CentreSensitivity:
@@ -315,15 +327,17 @@ class RecedingHorizon:
                 mapping.max_iterations,
                 out_of_time=out_of_time,
             )
-        return result, calls
+        return result, calls, expected
 
-    def _common_noise(self, n: int, steps: int) -> NoisePaths:
-        if self._noise is None or self._noise_sheep != n:
-            rng = np.random.default_rng(self.seed)
-            paths, dt = self.control.mapping.paths, self.control.horizon.dt
-            self._noise = noise_paths(rng, self.crowd, n, dt, steps, paths)
-            self._noise_sheep = n
-        return self._noise
+    def _expectation(self, state: HerdState, steps: int) -> ExpectedCentre:
+        """Return the expected centre from a state on, as a function of the control."""
+        horizon, mapping = self.control.horizon, self.control.mapping
+        fine = FineModel(self.crowd, state, horizon.dt, steps, horizon.substeps)
+        estimator = ESTIMATORS[mapping.estimator]
+        if self._noise is None or self._noise_sheep != fine.sheep:
+            self._noise = Noise(fine, estimator, self.seed)
+            self._noise_sheep = fine.sheep
+        return ExpectedCentre(fine, estimator, self._noise, mapping.standard_error, mapping.paths)
 
 
 def _remembering(function: Callable[[Array], _T]) -> Callable[[Array], _T]:

@@ -10,6 +10,7 @@ from . import kernels
 from .dynamics import physics, rollout
 from .ensemble import expected_positions, noise_paths
 from .parameters import Crowd
+from .sampling import FineModel, free, linear, Resolution
 from .state import HerdState
 
 
@@ -22,6 +23,10 @@ def warm_up() -> float:
     noise = noise_paths(np.random.default_rng(0), crowd, 2, 0.01, 1, 1)
     trajectory = rollout(crowd, state, u, 0.01)
     expected_positions(crowd, state, u, 0.01, 1, noise)
+    fine = FineModel(crowd, state, 0.01, 1)
+    paths = fine.draw(np.random.default_rng(0), 1)
+    for sampler in (Resolution().sampler(fine, u), free(fine, u), linear(fine, u)):
+        sampler(paths)
     source = np.zeros_like(trajectory.xs)
     kernels.times(source[0], source[0, 0], source[0, :, 0].copy())
     kernels.transposed_times(source[0], np.zeros(2), source[0, 0].copy())
