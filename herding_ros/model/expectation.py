@@ -102,6 +102,8 @@ class ExpectedCentre:
         threads: int | None = None,
     ) -> None:
         """Take the estimator of which the noise is; compute nothing yet."""
+        if most < _FEWEST:
+            raise ValueError(f'most is {most} paths, allowed is at least {_FEWEST}')
         self._levels = estimator.levels(fine)
         self._noise = noise
         self._fine = fine

@@ -67,7 +67,7 @@ class FineModel:
         return PATHS if self.sheep <= _LARGE else 1
 
     def draw(self, rng: np.random.Generator, longer: int) -> Array:
-        """Draw a block of sigma dB for steps of longer * dt: (K / longer, 2, N * at_once) [m/s]."""
+        """Draw a block of sigma dB, (K / longer, 2, N * at_once) [m/s], in steps of longer dt."""
         dt, steps = longer * self.dt, self.steps // longer
         if self.at_once == PATHS:
             return noise_paths(rng, self.crowd, self.sheep, dt, steps, PATHS).blocks[0]
