@@ -9,8 +9,8 @@ each mean by paths of its own (multilevel Monte Carlo; Giles 2008). A chain of o
 common Monte Carlo. What a model leaves out changes what its paths cost, never the expectation.
 
 Control variates (Glasserman 2003, section 4.1) are sums of the increments dB with weights that
-are known beforehand. So their mean is exactly zero, whatever sigma depends on, and their
-coefficient is one: a regression gains little (study `sampling`) and costs the zero bias.
+are known beforehand. So their mean is exactly zero, whatever the noise on a sheep depends on.
+Their coefficient is one: that of a regression is near it, and would cost a bias.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _STEP_PER_RELAXATION = 0.2
 _LONGEST_STEP = 0.4
 """Time step of sheep that see the dogs only: in units of 1 / friction, and at most [s].
 
-Dogs and forces hardly change meanwhile; longer steps have hardly less to do (study `sampling`).
+Dogs and their forces hardly change meanwhile.
 """
 _PAIRS_PER_SHEEP = 5.0
 """What drawing noise for a sheep and moving it costs, in evaluations of the force of a pair."""

@@ -16,6 +16,7 @@ _TITLES = {
     'symmetry': 'Symmetric herds (section 6.3)',
     'baselines': 'Against simpler controllers',
     'observation': 'Noisy observations',
+    'sampling': 'Cost of an expectation',
 }
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from . import direct, herding, observation, symmetry, variant, window
+from . import direct, herding, observation, sampling, symmetry, variant, window
 
 EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
     'direct': direct.run,
     'herding': herding.run,
     'observation': observation.run,
+    'sampling': sampling.run,
     'symmetry': symmetry.run,
     'variant': variant.run,
     'window': window.run,
