@@ -15,7 +15,7 @@ from herding_ros.control.reference import reference
 from herding_ros.control.solution import ValueAndGradient
 from herding_ros.control.spg import spg
 from herding_ros.model.admissible import project
-from herding_ros.model.parameters import Crowd
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array

@@ -12,7 +12,7 @@ import pytest
 
 from herding_ros.control.parameters import Control, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon, SolveReport
-from herding_ros.model.parameters import Crowd
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import HerdState

@@ -12,7 +12,8 @@ import pytest
 import yaml
 
 from herding_ros.control.parameters import Control, PAPER
-from herding_ros.model.parameters import Crowd, CROWDS, Parameters
+from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
 from herding_ros.nodes.controller import ControllerSettings
 from herding_ros.nodes.sim import SimSettings

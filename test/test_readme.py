@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from herding_ros.control.parameters import Control
-from herding_ros.model.parameters import Crowd, CROWDS, describe_limits, Parameters
+from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import World
 from herding_ros.nodes import recorder
 from herding_ros.nodes.controller import ControllerSettings

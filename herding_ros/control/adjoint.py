@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from herding_ros.model import kernels
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import physics, rollout
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, HerdState, Trajectory
 
 from .objective import Objective

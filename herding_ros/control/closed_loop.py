@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from herding_ros.model.parameters import Crowd
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, finite, HerdState
 

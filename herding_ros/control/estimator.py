@@ -13,8 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd, Morse, TINY
+from herding_ros.model.parameters import TINY
+from herding_ros.model.potentials import Morse
 from herding_ros.model.state import Array, finite, HerdState
 
 from .parameters import Sensor

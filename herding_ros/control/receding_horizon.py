@@ -12,9 +12,9 @@ from typing import TypeVar
 import numpy as np
 
 from herding_ros.model.admissible import project
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState
 

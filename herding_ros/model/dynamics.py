@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import kernels
-from .parameters import Crowd
+from .crowd import Crowd
 from .state import Array, finite, HerdState, Trajectory
 
 

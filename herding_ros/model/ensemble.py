@@ -9,9 +9,9 @@ import os
 import numpy as np
 
 from . import kernels
+from .crowd import Crowd
 from .dynamics import check_control, physics, to_lanes
 from .kernels import PATHS
-from .parameters import Crowd
 from .state import Array, HerdState
 
 

@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import kernels
+from .crowd import Crowd
 from .dynamics import increments, physics, rollout, to_lanes
 from .ensemble import noise_paths
 from .kernels import PATHS
-from .parameters import Crowd
 from .state import Array, HerdState
 
 Sampler = Callable[[Array], Array]

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .admissible import project
+from .crowd import Crowd
 from .dynamics import increments, rollout
 from .flock import arrived, spread
-from .parameters import Crowd, Parameters, quantity, TINY
+from .parameters import Parameters, quantity, TINY
 from .scenario import initial_herd
 from .state import Array, HerdState
 

@@ -7,9 +7,9 @@ import time
 import numpy as np
 
 from . import kernels
+from .crowd import Crowd
 from .dynamics import physics, rollout
 from .ensemble import expected_positions, noise_paths
-from .parameters import Crowd
 from .sampling import FineModel, free, linear, Resolution
 from .state import HerdState
 

@@ -26,8 +26,9 @@ from herding_ros.control.estimator import Estimator
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
 from herding_ros.control.solution import OutOfTime
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd, quantity, TINY
+from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.state import Array, HerdState
 
 from . import messages

@@ -23,14 +23,8 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 
-from herding_ros.model.parameters import (
-    check,
-    Crowd,
-    CROWDS,
-    describe_limits,
-    Parameters,
-    quantity,
-)
+from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.parameters import check, describe_limits, Parameters, quantity
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.warmup import warm_up
 

@@ -18,8 +18,9 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import distance, spread
-from herding_ros.model.parameters import Crowd, quantity, TINY
+from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
 

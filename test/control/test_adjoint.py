@@ -6,7 +6,7 @@ import pytest
 
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.objective import Objective
-from herding_ros.model.parameters import CROWDS
+from herding_ros.model.crowd import CROWDS
 from herding_ros.model.state import Array, HerdState
 
 HerdMaker = Callable[..., HerdState]

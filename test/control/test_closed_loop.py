@@ -5,7 +5,7 @@ import pytest
 
 from herding_ros.control.closed_loop import closed_loop, Planner, play, Run
 from herding_ros.control.parameters import Control, Horizon, Mapping
-from herding_ros.model.parameters import Crowd
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 
 GOAL = np.array([0.5, 0.5])

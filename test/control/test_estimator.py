@@ -13,9 +13,10 @@ from herding_ros.control.closed_loop import closed_loop, play
 from herding_ros.control.estimator import Estimator
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
 from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import increments, rollout
 from herding_ros.model.flock import spread
-from herding_ros.model.parameters import Crowd, CROWDS, Morse
+from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 

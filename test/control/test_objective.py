@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from herding_ros.control.objective import Objective
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, HerdState, Trajectory
 
 HerdMaker = Callable[..., HerdState]

@@ -14,7 +14,7 @@ from herding_ros.control.objective import Objective
 from herding_ros.control.solution import Solution, Status
 from herding_ros.control.spg import spg
 from herding_ros.model.admissible import project
-from herding_ros.model.parameters import CROWDS
+from herding_ros.model.crowd import CROWDS
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array
 

@@ -14,9 +14,9 @@ from herding_ros.control.solution import Status
 from herding_ros.control.space_mapping import aggressive
 from herding_ros.control.spg import spg
 from herding_ros.model.admissible import project
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
 

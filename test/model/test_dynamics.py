@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import forces, increments, rollout
 from herding_ros.model.kernels import lanes
-from herding_ros.model.parameters import Crowd, CROWDS, Morse
+from herding_ros.model.potentials import Morse
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
 

@@ -4,10 +4,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
 from herding_ros.model.kernels import lanes, PATHS
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import Array, HerdState
 
 HerdMaker = Callable[..., HerdState]

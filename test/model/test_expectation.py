@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from herding_ros.model import expectation
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.ensemble import expected_positions, noise_paths
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.kernels import PATHS
-from herding_ros.model.parameters import Crowd, Morse
+from herding_ros.model.potentials import Morse
 from herding_ros.model.sampling import (
     alone,
     Estimator,

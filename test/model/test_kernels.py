@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from herding_ros.model import kernels
-from herding_ros.model.parameters import CROWDS, Morse
+from herding_ros.model.crowd import CROWDS
+from herding_ros.model.potentials import Morse
 from herding_ros.model.state import Array
 
 POTENTIALS = [each for crowd in CROWDS.values() for each in (crowd.sheep, crowd.dog)]

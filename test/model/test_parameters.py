@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 
-from herding_ros.model.parameters import Crowd, CROWDS, Morse, Parameters, quantity
+from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.parameters import Parameters, quantity
+from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import World
 
 

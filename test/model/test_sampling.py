@@ -4,10 +4,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.ensemble import noise_paths
 from herding_ros.model.kernels import lanes, PATHS
-from herding_ros.model.parameters import Crowd, Morse
+from herding_ros.model.potentials import Morse
 from herding_ros.model.sampling import (
     alone,
     Estimator,

@@ -3,8 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array

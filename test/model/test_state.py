@@ -3,8 +3,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.state import finite, HerdState
 
 X, V, D = np.ones((3, 2)), np.zeros((3, 2)), np.full((2, 2), 5.0)

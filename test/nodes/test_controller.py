@@ -21,7 +21,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from herding_ros.control.parameters import Control, Horizon, Mapping, Weights
 from herding_ros.control.receding_horizon import RecedingHorizon
-from herding_ros.model.parameters import Crowd
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.state import HerdState
 from herding_ros.nodes import messages
 

@@ -22,8 +22,8 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import distance, spread
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.simulation import World
 from herding_ros.nodes import messages
 

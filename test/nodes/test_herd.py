@@ -20,8 +20,8 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.parameters import Control
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import arrived, spread
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.simulation import World
 
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)

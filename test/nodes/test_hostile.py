@@ -32,7 +32,7 @@ from std_msgs.msg import Header
 
 from herding_ros.control.parameters import Control, Horizon, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
-from herding_ros.model.parameters import Crowd
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.state import HerdState
 from herding_ros.nodes import messages
 from herding_ros.nodes.refusals import Refused

@@ -26,7 +26,8 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from sensor_msgs.msg import PointCloud2
 
 from herding_ros.control.parameters import Control
-from herding_ros.model.parameters import Crowd, describe_limits, Parameters
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import controller, messages, sim
 from herding_ros.nodes.controller import ControllerSettings

@@ -23,7 +23,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
-from herding_ros.model.parameters import Crowd
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import messages, sim
 

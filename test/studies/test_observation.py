@@ -10,7 +10,7 @@ import pytest
 
 from herding_ros.control.closed_loop import closed_loop, Planner
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
-from herding_ros.model.parameters import Crowd
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.studies import observation
 from herding_ros.studies.experiments import EXPERIMENTS

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import distance
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.state import HerdState
 from herding_ros.studies.experiments import EXPERIMENTS

@@ -11,9 +11,9 @@ from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
 from herding_ros.model.admissible import project
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
 from herding_ros.model.flock import centre
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array, HerdState
 

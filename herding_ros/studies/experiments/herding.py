@@ -12,8 +12,9 @@ import numpy as np
 from herding_ros.control.closed_loop import Planner, play, Policy, Run
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import SolveReport
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import centre, distance, spread
-from herding_ros.model.parameters import Crowd, Morse
+from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from herding_ros.control.closed_loop import Planner, play
 from herding_ros.control.parameters import Control
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import spread
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import distance
-from herding_ros.model.parameters import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.state import Array, HerdState
 
