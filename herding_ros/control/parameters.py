@@ -136,7 +136,23 @@ class Mapping(Parameters):
         "compare the models' outputs, or (aggressive: the paper's Algorithm 1) their controls",
         choices=('output', 'aggressive'),
     )
-    paths: int = quantity(100, 'Monte Carlo paths of the fine model', low=1, high=10_000)
+    estimator: str = quantity(
+        'multilevel',
+        'expected centre from differences to a cheaper model, or (the paper) from plain paths',
+        choices=('multilevel', 'plain'),
+    )
+    standard_error: float = quantity(
+        1e-3,
+        'standard error of the expected centre that is small enough; 0 does all `paths` allows',
+        'm',
+        low=0.0,
+    )
+    paths: int = quantity(
+        100,
+        'most work of an evaluation of the fine model, in Monte Carlo paths',
+        low=2,
+        high=10_000,
+    )
     max_iterations: int = quantity(3, 'most corrections of a plan; 0 plans without noise', low=0)
     accuracy: float = quantity(
         1e-3,
@@ -196,6 +212,6 @@ PAPER = Control(
     weights=Weights(centre=1.0, spread=1.0, dogs=0.0),
     reference=Reference(kind='interpolated'),
     optimiser=Optimiser(tolerance=5e-3),
-    mapping=Mapping(method='aggressive'),
+    mapping=Mapping(method='aggressive', estimator='plain', standard_error=0.0),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""

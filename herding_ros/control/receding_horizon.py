@@ -13,10 +13,10 @@ import numpy as np
 
 from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre
 from herding_ros.model.mean_field import mean_field
-from herding_ros.model.noise import noise_paths, NoisePaths
+from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping
@@ -59,6 +59,10 @@ class SolveReport:
     """Evaluations of value and gradient in the coarse solve, on both time grids."""
     fine_calls: int
     """Monte Carlo evaluations of the fine model, each of all paths."""
+    paths: tuple[int, ...]
+    """Paths of an evaluation, by level, the finest last; empty without mapping."""
+    standard_error: float
+    """The largest of these evaluations' [m]; 0 without mapping."""
     extraction_calls: int
     """Rollouts of the coarse model in parameter extraction."""
     mapping_status: Status
@@ -92,9 +96,9 @@ class Window:
 class RecedingHorizon:
     """Plans window after window, each solve started from what the last one found.
 
-    The noise paths are drawn once from the seed and shared by all evaluations of the fine
-    model (common random numbers), in this and all later windows. `costs` are added to those
-    that the weights ask for.
+    The noise is drawn from the seed and shared by all evaluations of the fine model (common
+    random numbers), in this and all later windows. How many paths each window takes of it, its
+    first evaluation settles. `costs` are added to those that the weights ask for.
     """
 
     crowd: Crowd
@@ -103,7 +107,7 @@ class RecedingHorizon:
     seed: int = 0
     costs: Sequence[Cost] = ()
     _last: Plan | None = field(default=None, init=False)
-    _noise: NoisePaths | None = field(default=None, init=False)
+    _noise: Noise | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -159,14 +163,14 @@ class RecedingHorizon:
             coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
             wanted = coarse_centre(solution.u)
         if control.mapping.max_iterations and not out_of_time():
-            mapping, extractions = self._map(
-                coarse, partial(self._fine_centre, state, t), coarse_centre, solution.u, clock,
-                out_of_time,
-            )  # fmt: skip
+            expectation = self._expectation(state, t)
+            mapping, extractions, expected = self._map(
+                coarse, expectation, coarse_centre, solution.u, clock, out_of_time
+            )
         else:
             left_out = Status.OUT_OF_TIME if control.mapping.max_iterations else Status.CONVERGED
             mapping = MappingResult(solution.u, wanted, left_out, (), ())
-            extractions = 0
+            extractions, expected = 0, []
         plan = Plan(t, horizon.control_period, mapping.u)
         self._last = plan
         report = SolveReport(
@@ -175,7 +179,9 @@ class RecedingHorizon:
             gradient_norm=solution.gradient_norm,
             optimiser_iterations=solution.iterations,
             optimiser_calls=solution.calls,
-            fine_calls=len(mapping.misfits),
+            fine_calls=len(expected),
+            paths=expected[0].paths if expected else (),
+            standard_error=max((each.standard_error for each in expected), default=0.0),
             extraction_calls=extractions,
             mapping_status=mapping.status,
             mapping_iterations=mapping.iterations,
@@ -185,13 +191,6 @@ class RecedingHorizon:
             seconds=clock.seconds(),
         )
         return Window(plan, report, horizon.dt, mapping.output, coarse.rollout(plan.u).d)
-
-    def _fine_centre(self, state: HerdState, t: float, u: Array) -> Array:
-        """Return the expected centre (K+1, 2) [m] of the flock itself from t [s] on under u."""
-        horizon = self.control.horizon
-        noise = self._shared_paths(len(state.x), len(u) * horizon.substeps)
-        mean = expected_positions(self.crowd, state, u, horizon.dt, horizon.substeps, noise, t=t)
-        return centre(mean)
 
     def _solve_coarse(self, coarse: CoarseModel, t: float, out_of_time: OutOfTime) -> Solution:
         """Minimise the cost of the window without noise, from the last plan on.
@@ -245,22 +244,27 @@ class RecedingHorizon:
     def _map(
         self,
         coarse: CoarseModel,
-        fine_centre: Callable[[Array], Array],
+        expectation: ExpectedCentre,
         coarse_centre: Callable[[Array], Array],
         u_coarse: Array,
         clock: _Stopwatch,
         out_of_time: OutOfTime,
-    ) -> tuple[MappingResult, int]:
-        """Correct the coarse optimum for the noise; also return the coarse solves' rollouts."""
+    ) -> tuple[MappingResult, int, list[Expectation]]:
+        """Correct the coarse optimum for the noise.
+
+        Also return the rollouts in parameter extraction, and what the fine model said.
+        """
         horizon, mapping = self.control.horizon, self.control.mapping
         gamma = self.control.weights.control
         wanted = coarse_centre(u_coarse)
         every = max(round(_NODE_SPACING / horizon.dt), 1)
         calls = 0
+        expected: list[Expectation] = []
 
         def fine(u: Array) -> Array:
             with clock.phase('fine'):
-                return fine_centre(u)
+                expected.append(expectation(u))
+                return expected[-1].centre
 
         @_remembering
         def sensitivity(u: Array) -> CentreSensitivity:
@@ -334,15 +338,18 @@ class RecedingHorizon:
                 mapping.max_iterations,
                 out_of_time=out_of_time,
             )
-        return result, calls
+        return result, calls, expected
 
-    def _shared_paths(self, n: int, steps: int) -> NoisePaths:
-        if self._noise is None or self._noise_sheep != n:
-            rng = np.random.default_rng(self.seed)
-            paths, dt = self.control.mapping.paths, self.control.horizon.dt
-            self._noise = noise_paths(rng, self.crowd, n, dt, steps, paths)
-            self._noise_sheep = n
-        return self._noise
+    def _expectation(self, state: HerdState, t: float) -> ExpectedCentre:
+        """Return the expected centre from a state at t [s] on, as a function of the control."""
+        horizon, mapping = self.control.horizon, self.control.mapping
+        steps = horizon.intervals * horizon.substeps
+        fine = FineModel(self.crowd, state, horizon.dt, steps, horizon.substeps, t)
+        estimator = ESTIMATORS[mapping.estimator]
+        if self._noise is None or self._noise_sheep != fine.sheep:
+            self._noise = Noise(fine, estimator, self.seed)
+            self._noise_sheep = fine.sheep
+        return ExpectedCentre(fine, estimator, self._noise, mapping.standard_error, mapping.paths)
 
 
 def _remembering(function: Callable[[Array], _T]) -> Callable[[Array], _T]:

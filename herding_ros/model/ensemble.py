@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 import os
 
 import numpy as np
@@ -44,13 +44,18 @@ def expected_positions(
         )
     x, v, d = to_lanes(state.x), to_lanes(state.v), np.ascontiguousarray(state.d.T)
     constants = physics(crowd, n, dt)
-    uniform = is_uniform(crowd.noise_field)
-    add_paths = kernels.add_paths if uniform else partial(_add_paths_in_field, crowd, t)
 
     def sum_of_block(block: int) -> Array:
         total = np.zeros((steps + 1, 2, n))
         used = min(noise.paths - block * PATHS, PATHS)
-        add_paths(total, x, v, d, u, substeps, noise.blocks[block], used, constants)
+        drawn = noise.blocks[block]
+        if is_uniform(crowd.noise_field):
+            kernels.add_paths(total, x, v, d, u, substeps, drawn, used, constants)
+        else:
+            start = (x[:, :n], v[:, :n], d)
+            xs = paths_in_field(crowd, t, *start, u, substeps, drawn, constants)
+            for k, here in enumerate(xs):
+                total[k] = here.reshape(2, n, PATHS)[..., :used].sum(axis=-1)
         return total
 
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
@@ -58,29 +63,30 @@ def expected_positions(
     return np.asarray(total).transpose(0, 2, 1) / noise.paths
 
 
-def _add_paths_in_field(
+def paths_in_field(
     crowd: Crowd,
     t: float,
-    total: Array,
     x: Array,
     v: Array,
     d: Array,
     u: Array,
     substeps: int,
     noise: Array,
-    paths: int,
     physics: kernels.Physics,
-) -> None:
-    """Do what `kernels.add_paths` does where the noise depends on time and place."""
-    n, dt = physics.n, physics.dt
-    xs, vs = (np.repeat(each[:, :n], PATHS, axis=1) for each in (x, v))
+) -> Iterator[Array]:
+    """Yield the positions in some paths at each step, where the noise depends on time and place.
+
+    They start at t [s] from x, v (2, N) and d (2, M); noise (K, 2, N * paths) has the paths of a
+    sheep side by side, and so have the positions (2, N * paths) [m].
+    """
+    xs, vs = (np.repeat(each, noise.shape[2] // x.shape[1], axis=1) for each in (x, v))
     ds = d
     a = np.empty_like(xs)
-    for k in range(len(noise) + 1):
-        total[k] += xs.reshape(2, n, PATHS)[..., :paths].sum(axis=-1)
-        if k < len(noise):
-            scaled = factor(crowd, t + k * dt, xs) * noise[k]
-            following = np.empty_like(xs), np.empty_like(vs), np.empty_like(ds)
-            kernels.acceleration_in_paths(xs, ds, physics, a)
-            kernels.step(xs, vs, ds, u[k // substeps], a, scaled, physics, *following)
-            xs, vs, ds = following
+    for k in range(len(noise)):
+        yield xs
+        scaled = factor(crowd, t + k * physics.dt, xs) * noise[k]
+        following = np.empty_like(xs), np.empty_like(vs), np.empty_like(ds)
+        kernels.acceleration_in_paths(xs, ds, physics, a)
+        kernels.step(xs, vs, ds, u[k // substeps], a, scaled, physics, *following)
+        xs, vs, ds = following
+    yield xs

@@ -12,6 +12,7 @@ from .dynamics import physics, rollout
 from .ensemble import expected_positions
 from .noise import noise_paths
 from .potentials import Mollified, Morse
+from .sampling import FineModel, free, linear, Resolution
 from .state import HerdState
 
 
@@ -24,6 +25,10 @@ def warm_up(crowd: Crowd | None = None) -> float:
     noise = noise_paths(np.random.default_rng(0), crowd, 2, 0.01, 1, 1)
     trajectory = rollout(crowd, state, u, 0.01)
     expected_positions(crowd, state, u, 0.01, 1, noise)
+    fine = FineModel(crowd, state, 0.01, 1)
+    paths = fine.draw(np.random.default_rng(0), 1)
+    for sampler in (Resolution().sampler(fine, u), free(fine, u), linear(fine, u)):
+        sampler(paths)
     source = np.zeros_like(trajectory.xs)
     kernels.times(source[0], source[0, 0], source[0, :, 0].copy())
     kernels.transposed_times(source[0], np.zeros(2), source[0, 0].copy())

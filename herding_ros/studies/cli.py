@@ -20,6 +20,7 @@ from . import (
     evacuation,
     mean_field,
     observation,
+    sampling,
     stabilisation,
     stochasticity,
     symmetry,
@@ -40,6 +41,7 @@ STUDIES: dict[str, Study] = {
     'evacuation': evacuation,
     'common_noise': common_noise,
     'mean_field': mean_field,
+    'sampling': sampling,
 }
 
 _DONE, _FAILED, _BAD_ARGUMENTS, _INTERRUPTED = 0, 1, 2, 130

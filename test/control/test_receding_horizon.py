@@ -29,6 +29,8 @@ SMALL = Control(
     horizon=Horizon(length=10.0, accepted=5.0), mapping=Mapping(paths=20, max_iterations=2)
 )
 
+PLAIN = Mapping(estimator='plain', standard_error=0.0, paths=20)
+
 
 def herd(n: int, m: int, seed: int = 0) -> HerdState:
     return initial_herd(n, m, GOAL, np.random.default_rng(seed))
@@ -89,7 +91,7 @@ def test_without_noise_the_coarse_plan_is_kept(method: str, optimiser: str) -> N
 
 def test_without_noise_matching_every_individual_does_not_keep_the_coarse_plan() -> None:
     """Why the centre is the default observable: T(u_c) = u_c should hold for equal models."""
-    mapping = Mapping(method='aggressive', observable='individuals', paths=1)
+    mapping = Mapping(method='aggressive', observable='individuals')
     report = solved(0.0, dataclasses.replace(PAPER, mapping=mapping), herd(30, 5)).report
     assert report.mapping_residuals[0] > 0.1
 
@@ -119,7 +121,9 @@ def test_error_of_the_coarse_plan_is_that_of_the_paper() -> None:
 @pytest.mark.parametrize('method', ['output', 'aggressive'])
 def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
     sigma, state = 0.03, herd(9, 2)
-    mapping = Mapping(method=method, paths=20, max_iterations=2, accuracy=1e-6, tolerance=1e-6)
+    mapping = dataclasses.replace(
+        PLAIN, method=method, max_iterations=2, accuracy=1e-6, tolerance=1e-6
+    )
     control = dataclasses.replace(SMALL, mapping=mapping)
     window = solved(sigma, control, state, seed=5)
     coarse = solved(sigma, without_mapping(control), state, seed=5)
@@ -129,6 +133,7 @@ def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
     )
     np.testing.assert_allclose(window.centre, after, rtol=0, atol=1e-14)
     report = window.report
+    assert report.paths == (20,)
     expected = l2(before - coarse.centre, window.dt)
     assert report.mapping_error_before == pytest.approx(expected, rel=1e-9)
     expected = l2(after - coarse.centre, window.dt)
@@ -161,8 +166,8 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
     Ours compares centres at instants half a second apart, which is good to some per cent.
     """
     crowd, gamma, state = Crowd(noise=0.03), 1e-2, herd(9, 2, seed)
-    mapping = Mapping(
-        method='aggressive', paths=20, max_iterations=2, tolerance=0.0, min_decrease=-1e9
+    mapping = dataclasses.replace(
+        PLAIN, method='aggressive', max_iterations=2, tolerance=0.0, min_decrease=-1e9
     )
     control = dataclasses.replace(PAPER, horizon=SMALL.horizon, mapping=mapping)
     found = RecedingHorizon(crowd, control, GOAL, seed).solve(state, 0.0)

@@ -5,7 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from . import common_noise, direct, herding, mean_field, observation, symmetry, variant, window
+from . import (
+    common_noise,
+    direct,
+    herding,
+    mean_field,
+    observation,
+    sampling,
+    symmetry,
+    variant,
+    window,
+)
 
 EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
     'common_noise': common_noise.run,
@@ -15,6 +25,7 @@ EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
     'mean_field_mapping': mean_field.mapping,
     'mean_field_replan': mean_field.replan,
     'observation': observation.run,
+    'sampling': sampling.run,
     'symmetry': symmetry.run,
     'variant': variant.run,
     'window': window.run,
