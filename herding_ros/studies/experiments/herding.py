@@ -51,14 +51,15 @@ def run(
     every: float,
     settings: dict[str, Any],
     snapshots: list[float] | None = None,
+    common_noise: float = 0.0,
 ) -> dict[str, Any]:
     """Herd a flock by a policy and return the run in numbers.
 
     policy: 'planner' (settings: what differs from Control()), 'strombom' (settings: those of
     Strombom) or 'none', a dog that no sheep notices. every: spacing of the stored paths [s];
-    snapshots: instants at which everybody's place is kept [s].
+    snapshots: instants at which everybody's place is kept [s]; common_noise: as in Crowd.
     """
-    crowd, destination = Crowd(noise=sigma), np.array(goal)
+    crowd, destination = Crowd(noise=sigma, common_noise=common_noise), np.array(goal)
     world = World(sheep=sheep, dogs=dogs, seed=seed)
     decide: Policy
     if policy == 'planner':
