@@ -19,6 +19,17 @@ class Weights(Parameters):
         "weight of each dog's distance from the reference; keeps dogs from running off",
         low=0.0,
     )
+    terminal: float = quantity(
+        0.0,
+        'weight of centre and spread at the end of the window: it counts as if it went on for '
+        'so long',
+        's',
+        low=0.0,
+    )
+    containment: float = quantity(
+        0.0, 'weight of sheep outside the disc of this radius around the reference', '1/m', low=0.0
+    )
+    radius: float = quantity(0.6, 'radius of that disc', 'm', low=0.0)
 
 
 @dataclass(frozen=True)
@@ -84,6 +95,18 @@ class Horizon(Parameters):
     def dt(self) -> float:
         """Time step of the prediction [s]."""
         return self.control_period / self.substeps
+
+
+@dataclass(frozen=True)
+class Coarse(Parameters):
+    """The deterministic model that a plan is made with: all sheep, or their mean-field limit."""
+
+    markers: int = quantity(
+        128,
+        'points that stand for a flock of more than twice as many sheep (its mean-field limit); '
+        'smaller flocks are predicted sheep by sheep',
+        low=1,
+    )
 
 
 @dataclass(frozen=True)
@@ -163,6 +186,7 @@ class Control(Parameters):
     weights: Weights = Weights()
     reference: Reference = Reference()
     horizon: Horizon = Horizon()
+    coarse: Coarse = Coarse()
     optimiser: Optimiser = Optimiser()
     mapping: Mapping = Mapping()
     sensor: Sensor = Sensor()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,11 +15,14 @@ from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
+from herding_ros.model.mean_field import mean_field
 from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping
 from .adjoint import CentreSensitivity, CoarseModel
+from .costs.cost import Cost
+from .costs.tracking import Tracking
 from .gauss_newton import gauss_newton
 from .ncg import ncg
 from .objective import Objective
@@ -90,13 +93,15 @@ class RecedingHorizon:
     """Plans window after window, each solve started from what the last one found.
 
     The noise paths are drawn once from the seed and shared by all evaluations of the fine
-    model (common random numbers), in this and all later windows.
+    model (common random numbers), in this and all later windows. `costs` are added to those
+    that the weights ask for.
     """
 
     crowd: Crowd
     control: Control
     goal: Array
     seed: int = 0
+    costs: Sequence[Cost] = ()
     _last: Plan | None = field(default=None, init=False)
     _noise: NoisePaths | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
@@ -132,6 +137,14 @@ class RecedingHorizon:
         """Plan with these from the next solve on."""
         self.crowd, self.control, self._noise = crowd, control, None
 
+    def coarse_model(self, state: HerdState) -> CoarseModel:
+        """Return the model without noise: the flock itself, or the limit of a large one."""
+        crowd, horizon, markers = self.crowd, self.control.horizon, self.control.coarse.markers
+        # Of less than two sheep to each blob the limit is no simpler, and worse.
+        if len(state.x) > 2 * markers:
+            crowd, state = mean_field(crowd, state, markers)
+        return CoarseModel(crowd, state, horizon.dt, horizon.substeps)
+
     def solve(self, state: HerdState, t: float, out_of_time: OutOfTime = never) -> Window:
         """Plan the window that starts at t [s] in the given state.
 
@@ -140,15 +153,16 @@ class RecedingHorizon:
         """
         clock = _Stopwatch()
         control, horizon = self.control, self.control.horizon
-        coarse = CoarseModel(self.crowd, state, horizon.dt, horizon.substeps)
+        coarse = self.coarse_model(state)
         with clock.phase('coarse'):
             solution = self._solve_coarse(coarse, t, out_of_time)
             coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
             wanted = coarse_centre(solution.u)
         if control.mapping.max_iterations and not out_of_time():
             mapping, extractions = self._map(
-                coarse, coarse_centre, solution.u, t, clock, out_of_time
-            )
+                coarse, partial(self._fine_centre, state, t), coarse_centre, solution.u, clock,
+                out_of_time,
+            )  # fmt: skip
         else:
             left_out = Status.OUT_OF_TIME if control.mapping.max_iterations else Status.CONVERGED
             mapping = MappingResult(solution.u, wanted, left_out, (), ())
@@ -172,6 +186,13 @@ class RecedingHorizon:
         )
         return Window(plan, report, horizon.dt, mapping.output, coarse.rollout(plan.u).d)
 
+    def _fine_centre(self, state: HerdState, t: float, u: Array) -> Array:
+        """Return the expected centre (K+1, 2) [m] of the flock itself from t [s] on under u."""
+        horizon = self.control.horizon
+        noise = self._shared_paths(len(state.x), len(u) * horizon.substeps)
+        mean = expected_positions(self.crowd, state, u, horizon.dt, horizon.substeps, noise, t=t)
+        return centre(mean)
+
     def _solve_coarse(self, coarse: CoarseModel, t: float, out_of_time: OutOfTime) -> Solution:
         """Minimise the cost of the window without noise, from the last plan on.
 
@@ -189,9 +210,7 @@ class RecedingHorizon:
             steps = horizon.intervals * substeps
             times = model.dt * np.arange(steps + 1, dtype=np.float64)
             route = reference(self.control.reference, coarse.state, self.goal, times)
-            objective = Objective(
-                weights.centre, weights.spread, weights.control, route, no_control, weights.dogs
-            )
+            objective = Objective.weighted(weights, route, no_control, self.costs)
             solutions.append(self._optimise(model, objective, u, limit, out_of_time))
             u = solutions[-1].u
             limit = -(-limit // 3)
@@ -226,9 +245,9 @@ class RecedingHorizon:
     def _map(
         self,
         coarse: CoarseModel,
+        fine_centre: Callable[[Array], Array],
         coarse_centre: Callable[[Array], Array],
         u_coarse: Array,
-        t: float,
         clock: _Stopwatch,
         out_of_time: OutOfTime,
     ) -> tuple[MappingResult, int]:
@@ -236,16 +255,12 @@ class RecedingHorizon:
         horizon, mapping = self.control.horizon, self.control.mapping
         gamma = self.control.weights.control
         wanted = coarse_centre(u_coarse)
-        noise = self._shared_paths(len(coarse.state.x), len(wanted) - 1)
         every = max(round(_NODE_SPACING / horizon.dt), 1)
         calls = 0
 
         def fine(u: Array) -> Array:
             with clock.phase('fine'):
-                mean = expected_positions(
-                    self.crowd, coarse.state, u, horizon.dt, horizon.substeps, noise, t=t
-                )
-                return centre(mean)
+                return fine_centre(u)
 
         @_remembering
         def sensitivity(u: Array) -> CentreSensitivity:
@@ -280,7 +295,7 @@ class RecedingHorizon:
         def match_individuals(target: Array, start: Array) -> Array:
             nonlocal calls
             with clock.phase('extraction'):
-                objective = Objective(1.0, 1.0, gamma, target, u_coarse)
+                objective = Objective([Tracking(1.0, 1.0, target)], gamma, u_coarse)
                 limit = self.control.optimiser.max_iterations
                 found = self._optimise(coarse, objective, start, limit, out_of_time)
                 calls += found.calls

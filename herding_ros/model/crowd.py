@@ -31,10 +31,12 @@ class Crowd(Parameters):
 CROWDS = {
     'cohesive': Crowd(),
     'printed': Crowd(sheep=Morse(1.0, 2.0, 5e-4, 1e-2), dog=Morse(1e-2, 0.5, 5e-4, 1e-2)),
+    'guided': Crowd(dog=Morse(2e-3, 0.1, 2e-2, 1.0)),
 }
 """Crowds by name; `sheep` is the potential between two sheep, `dog` that of a dog on a sheep.
 
 `cohesive` is the paper's with the two lengths swapped, so that the text's long-range
 attraction and short-range repulsion hold; `printed` takes the paper by the letter, and the
-crowd explodes.
+crowd explodes. `guided` follows its dogs, which are guides: they attract, but not to
+themselves, since both parts have the same slope at r = 0.
 """

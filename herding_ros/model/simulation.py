@@ -12,7 +12,7 @@ from .dynamics import rollout
 from .flock import arrived, spread
 from .noise import increments
 from .parameters import Parameters, quantity, TINY
-from .scenario import initial_herd
+from .scenario import DOG_RADIUS, initial_herd
 from .state import Array, HerdState
 
 
@@ -60,12 +60,16 @@ class Simulation:
     """
 
     def __init__(self, crowd: Crowd, world: World, goal: Array) -> None:
-        """Start from the scenario; goal (2,) [m] decides the side the dogs start on."""
+        """Start from the scenario; goal (2,) [m] decides the side the dogs start on.
+
+        Dogs that attract start ahead of the flock.
+        """
         self.crowd = crowd
         self.world = world
         self.goal = goal
         flock = np.random.default_rng(world.seed)
-        self.state = initial_herd(world.sheep, world.dogs, goal, flock)
+        attract = bool(crowd.dog.derivative(np.array([DOG_RADIUS])) > 0.0)
+        self.state = initial_herd(world.sheep, world.dogs, goal, flock, ahead=attract)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
         self.periods = 0
         self.initial_spread = float(spread(single(self.state.x)))

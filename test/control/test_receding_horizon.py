@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
-from herding_ros.control.parameters import Control, Horizon, Mapping, Optimiser, PAPER
+from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping, Optimiser, PAPER
 from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import RecedingHorizon, SolveReport, Window
 from herding_ros.control.reference import reference
@@ -174,7 +175,8 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
         return expected_centre(0.03, state, Plan(0.0, coarse.interval, u), found.dt, noise)
 
     def extract(target: Array, start: Array) -> Array:
-        cost = partial(coarse.value_and_gradient, Objective(1.0, 0.0, gamma, target, u_coarse))
+        objective = Objective([Tracking(1.0, 0.0, target)], gamma, u_coarse)
+        cost = partial(coarse.value_and_gradient, objective)
         return spg(cost, admissible, start, coarse.inner, 1e-7, 1000).u
 
     expected = aggressive(
@@ -182,6 +184,41 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
     )
     assert found.report.mapping_iterations == 2
     np.testing.assert_allclose(found.report.mapping_residuals, expected.residuals, rtol=0.05)
+
+
+@pytest.mark.parametrize('n', [1, 9, 20])
+def test_small_flocks_are_predicted_sheep_by_sheep(n: int) -> None:
+    """Up to two sheep to each marker, to the bit."""
+    state = herd(n, 2)
+    found, expected = (
+        solved(0.02, dataclasses.replace(SMALL, coarse=Coarse(markers)), state)
+        for markers in (10, 1_000_000)
+    )
+    np.testing.assert_array_equal(found.plan.u, expected.plan.u)
+    assert found.report.mapping_error_after == expected.report.mapping_error_after
+
+
+@pytest.mark.parametrize('method', ['output', 'aggressive'])
+def test_mapping_from_the_mean_field_limit_lowers_the_error_as_from_all_sheep(method: str) -> None:
+    """It corrects for the noise, and for sheep that are not so many."""
+    state, sigma, n = herd(90, 3), 0.03, 90
+    mapping = Mapping(method=method, paths=20, max_iterations=4, accuracy=1e-4, tolerance=1e-3)
+    control = dataclasses.replace(SMALL, mapping=mapping)
+    left = {}
+    for markers in (24, n):
+        control = dataclasses.replace(control, coarse=Coarse(markers))
+        found, coarse = (
+            solved(sigma, each, state) for each in (control, without_mapping(control))
+        )
+        noise = draw(sigma, found, n, 20, 0)
+        before, after = (
+            l2(expected_centre(sigma, state, each.plan, found.dt, noise) - coarse.centre, found.dt)
+            for each in (coarse, found)
+        )
+        assert found.report.mapping_error_before == pytest.approx(before, rel=1e-9)
+        assert found.report.mapping_error_after == pytest.approx(after, rel=1e-9)
+        left[markers] = after / before
+    assert left[24] < 1.15 * left[n] < 0.7
 
 
 def test_seconds_are_accounted_for() -> None:
@@ -296,10 +333,8 @@ def test_plan_on_the_default_time_grid_costs_no_more_than_one_on_the_sims(
     state = herd(30, 5, seed)
     model = CoarseModel(Crowd(), state, fine.horizon.dt, fine.horizon.substeps)
     times = np.arange(2001) * fine.horizon.dt
-    weights = control.weights
     route = reference(control.reference, state, GOAL, times)
-    rest = np.zeros((200, 5, 2))
-    cost = Objective(weights.centre, weights.spread, weights.control, route, rest, weights.dogs)
+    cost = Objective.weighted(control.weights, route, np.zeros((200, 5, 2)))
     played, best = (
         model.value_and_gradient(cost, solved(0.0, each, state).plan.u)[0]
         for each in (control, fine)

@@ -25,7 +25,7 @@ import rclpy
 from rclpy.parameter import Parameter, parameter_value_to_python
 from sensor_msgs.msg import PointCloud2
 
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import Control, Weights
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import describe_limits, Parameters
@@ -57,7 +57,7 @@ NOISE = {name for name in CROWD if name.startswith(('crowd.noise', 'crowd.common
 LIVE = {
     'sim': {'real_time_factor', *NOISE},
     'controller': {
-        *(f'weights.{name}' for name in ('centre', 'spread', 'control', 'dogs')),
+        *(f'weights.{field.name}' for field in dataclasses.fields(Weights)),
         *NOISE,
         *('horizon.length', 'horizon.accepted', 'max_speed'),
     },

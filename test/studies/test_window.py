@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control, Horizon, Mapping, Optimiser, PAPER
 from herding_ros.model.admissible import project
@@ -71,7 +72,7 @@ def test_without_noise_the_gradient_is_that_of_the_coarse_model() -> None:
     model, wanted = each.coarse, each.deterministic.centre + 0.01
     u = 0.5 * each.deterministic.plan.u
     noise = noise_paths(np.random.default_rng(0), each.crowd, 9, model.dt, len(wanted) - 1, 3)
-    objective = Objective(1.0, 0.0, 0.0, wanted, u)
+    objective = Objective([Tracking(1.0, 0.0, wanted)], 0.0, u)
     expected = model.value_and_gradient(objective, u)
     found = pathwise_gradient(model, noise, wanted, u)
     assert found[0] == pytest.approx(expected[0], rel=1e-12)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import OPTIMISERS
@@ -36,7 +37,8 @@ def extraction(case: Case, optimiser: str, observable: str) -> Callable[[Array, 
 
     def extract(target: Array, start: Array) -> Solution:
         anchor = case.deterministic.plan.u
-        objective = Objective(*weights, case.control.weights.control, target, anchor)
+        gamma = case.control.weights.control
+        objective = Objective([Tracking(*weights, target)], gamma, anchor)
         return OPTIMISERS[optimiser](
             partial(case.coarse.value_and_gradient, objective),
             case.admissible,
