@@ -1,4 +1,4 @@
-"""What a mapping can do when the same random force acts on all sheep, or on each its own."""
+"""What mapping and feedback do when all sheep have the same random force, or each its own."""
 
 from __future__ import annotations
 
@@ -10,20 +10,26 @@ from typing import Any
 import numpy as np
 
 from herding_ros.control.parameters import Control, Mapping, PAPER
+from herding_ros.model.scenario import GOAL
 
 from .experiments.settings import differences
 from .markdown import table
 from .pictures import BLUE, COLOURS, GREY, new, save
+from .runs import median_time, paths_of, run_task, success, under, with_mapping
 from .statistics import Mean
 from .stochasticity import ratios
 from .study import Options, Results, Row, Section
 from .task import Task
 
-DESCRIPTION = 'mapping under individual and common noise, and mixtures of both'
+DESCRIPTION = 'mapping and herding under individual and common noise, and mixtures of both'
 
 SHARES = (0.0, 0.25, 0.5, 1.0)
 """Share of the noise's variance that all sheep have in common."""
 _SIGMA = 0.03
+
+_RUN_SIGMAS = (0.01, 0.02)
+_PLANS = {'mapped': {}, 'not mapped': with_mapping({}, max_iterations=0)}
+"""Settings of the controller in whole runs."""
 
 
 def _settings(paths: int) -> dict[str, Any]:
@@ -33,11 +39,11 @@ def _settings(paths: int) -> dict[str, Any]:
 
 
 def tasks(options: Options) -> list[Task]:
-    """Return the same windows under every share, mapped with few and with many paths."""
+    """Return the same windows under every share, mapped with few and many paths, and runs."""
     quick = options.quick
     few = options.path_number(100)
     herd = {'sheep': 6 if quick else 30, 'dogs': 2 if quick else 5}
-    return [
+    windows = [
         Task(
             'common_noise',
             {
@@ -55,6 +61,21 @@ def tasks(options: Options) -> list[Task]:
             (few,) if quick else (few, 10 * few), SHARES, options.seed_range(10)
         )
     ]
+    runs = [
+        _run(paths_of(settings, few), sigma, share, seed, quick)
+        for settings, sigma, share, seed in product(
+            _PLANS.values(), _RUN_SIGMAS[:1] if quick else _RUN_SIGMAS, (SHARES[0], SHARES[-1]),
+            options.seed_range(10),
+        )
+    ]  # fmt: skip
+    return windows + runs
+
+
+def _run(settings: dict[str, Any], sigma: float, share: float, seed: int, quick: bool) -> Task:
+    """Return the task of herding a flock home under common noise."""
+    limit, sheep, cost = (10.0, 6, 0.1) if quick else (300.0, 20, 1.5)
+    task = run_task('planner', settings, 5, sigma, GOAL, seed, limit, cost, sheep)
+    return replace(task, parameters={**task.parameters, 'common_noise': share})
 
 
 def _paths(parameters: dict[str, Any]) -> int:
@@ -68,11 +89,13 @@ def _at(results: Results, paths: int, share: float) -> Results:
 
 def draw(results: Results, figures: Path) -> Section:
     """Make the table and the picture."""
-    numbers = sorted({_paths(task.parameters) for task, _ in results.entries})
+    windows = results.of('common_noise')
+    numbers = sorted({_paths(task.parameters) for task, _ in windows.entries})
     values = {
         'seeds': str(len(results.parameter('seed'))),
-        'judge_paths': ', '.join(f'{paths:,}' for paths in results.parameter('judge_paths')),
+        'judge_paths': ', '.join(f'{paths:,}' for paths in windows.parameter('judge_paths')),
         'table': _table(results, numbers),
+        'runs': _runs_table(results),
         'picture': _figure(results, numbers, figures),
     }
     return Section(values, _rows(results, numbers))
@@ -93,6 +116,21 @@ def _table(results: Results, numbers: list[int]) -> str:
         'paths', 'share in common', 'before, seen', 'after, seen', 'before, unseen',
         'after, unseen', 'after / before, unseen', 'error of the mean of so many paths',
         'a single path',
+    )  # fmt: skip
+    return table(head, rows)
+
+
+def _runs_table(results: Results) -> str:
+    rows = []
+    for sigma, share, (words, settings) in product(_RUN_SIGMAS, SHARES, _PLANS.items()):
+        found = under(settings, results.of('herding', sigma=sigma, common_noise=share))
+        if len(found):
+            cells = (str(success(found)), str(median_time(found)))
+            wide = str(Mean.of(found.values('max_spread')))
+            rows.append((f'{sigma:g}', f'{share:g}', words, *cells, wide))
+    head = (
+        'σ', 'share in common', 'plans', 'safe arrivals', 'median time [s]',
+        'largest spread, mean [m]',
     )  # fmt: skip
     return table(head, rows)
 

@@ -1,6 +1,8 @@
 from collections.abc import Callable
 import dataclasses
 import math
+from pathlib import Path
+import re
 
 import numpy as np
 import pytest
@@ -185,6 +187,15 @@ def test_strength_is_sigma_times_the_factor() -> None:
     assert strength(Crowd(noise=0.03), 5.0, x) == 0.03
     found = strength(Crowd(noise=0.03, noise_field=whirl), 5.0, x)
     np.testing.assert_allclose(found, 0.03 * whirl(5.0, x), rtol=1e-15)
+
+
+def test_the_example_in_the_documentation_is_a_field() -> None:
+    text = (Path(__file__).parents[2] / 'doc' / 'model.md').read_text(encoding='utf-8')
+    blocks = re.findall('```python\n(.*?)```', text, re.DOTALL)
+    (example,) = [block for block in blocks if 'noise_field' in block]
+    crowd = eval(example, {'Crowd': Crowd, 'np': np})
+    found = strength(crowd, 0.0, np.array([[0.0, 0.0], [100.0, 0.0]]))
+    np.testing.assert_allclose(found, [0.03, 0.06])
 
 
 # The state system with a field

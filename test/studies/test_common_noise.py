@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.parameters import Control, Horizon, Mapping, PAPER
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.simulation import World
 from herding_ros.studies import common_noise
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.case import Case
@@ -75,6 +77,11 @@ def made_up() -> Results:
     for task in common_noise.tasks(Options(seeds=3)):
         given = task.parameters
         share, seed = given['common_noise'], given['seed']
+        if task.kind == 'herding':
+            time = None if share and not given['settings'] and seed == 0 else 40.0 + seed + share
+            run = {'arrived': time is not None, 'time': time, 'max_spread': 0.5 - 0.25 * share}
+            entries.append((task, run))
+            continue
         result: dict[str, Any] = {
             'iterations': 4, 'before': 0.125, 'after': 0.01, 'judged_before': 0.08,
             'judged_after': 0.008 * (1.0 + share) + 0.001 * (seed - 1), 'uncertainty': 0.001,
@@ -95,17 +102,31 @@ def test_page_tells_what_the_results_say(tmp_path: Path) -> None:
     assert (tmp_path / 'common_noise.png').stat().st_size > 10_000
     assert len(section.rows) == 8
     assert section.values['seeds'] == '3'
+    *_, mapped, plain = section.values['runs'].splitlines()
+    assert mapped.startswith('| 0.02 | 1 | mapped | 2 of 3 ')
+    assert plain.startswith('| 0.02 | 1 | not mapped | 3 of 3 ')
+    assert plain.endswith('| 42.0 (less to more) | 0.250 |')
 
 
 def test_the_same_flocks_under_every_share() -> None:
-    tasks = common_noise.tasks(Options(seeds=2))
-    seeds = {
-        (share, common_noise._paths(task.parameters)): 0
-        for share in common_noise.SHARES
-        for task in tasks
-    }
+    tasks, seeds = common_noise.tasks(Options(seeds=2)), dict[str, list[int]]()
     for task in tasks:
-        key = task.parameters['common_noise'], common_noise._paths(task.parameters)
-        seeds[key] += 1
-    assert set(seeds.values()) == {2}
-    assert sum(task.parameters['trace'] for task in tasks) == 2
+        rest = {k: v for k, v in task.parameters.items() if k not in ('seed', 'trace')}
+        seeds.setdefault(json.dumps([task.kind, rest]), []).append(task.parameters['seed'])
+    assert all(each == [0, 1] for each in seeds.values())
+    assert len(seeds) == 2 * len(common_noise.SHARES) + 2 * 2 * 2
+    assert sum(task.parameters.get('trace', False) for task in tasks) == 2
+
+
+def test_a_run_under_common_noise_is_that_of_the_closed_loop() -> None:
+    (task,) = [
+        each
+        for each in common_noise.tasks(Options(quick=True))
+        if each.kind == 'herding'
+        and each.parameters['common_noise'] == 1.0
+        and each.parameters['settings']['mapping'].get('max_iterations') == 0
+    ]
+    found = EXPERIMENTS['herding'](**task.parameters)
+    crowd, control = Crowd(common_noise=1.0), Control(mapping=Mapping(paths=8, max_iterations=0))
+    track = closed_loop(crowd, World(sheep=6, dogs=5), control, np.array([0.5, 0.5]), 10.0)
+    np.testing.assert_allclose(found['paths']['last'], track.x[-1], atol=5e-5)

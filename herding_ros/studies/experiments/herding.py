@@ -52,14 +52,17 @@ def run(
     settings: dict[str, Any],
     snapshots: list[float] | None = None,
     crowd: str = 'cohesive',
+    common_noise: float = 0.0,
 ) -> dict[str, Any]:
     """Herd a flock by a policy and return the run in numbers.
 
     policy: 'planner' (settings: what differs from Control()), 'strombom' (settings: those of
     Strombom) or 'none', a dog that no sheep notices. every: spacing of the stored paths [s];
-    snapshots: instants at which everybody's place is kept [s]; crowd: name of a preset.
+    snapshots: instants at which everybody's place is kept [s]; crowd: name of a preset;
+    common_noise: as in Crowd.
     """
-    herd, destination = replace(CROWDS[crowd], noise=sigma), np.array(goal)
+    herd = replace(CROWDS[crowd], noise=sigma, common_noise=common_noise)
+    destination = np.array(goal)
     world = World(sheep=sheep, dogs=dogs, seed=seed)
     decide: Policy
     if policy == 'planner':
