@@ -336,7 +336,7 @@ class Controller(HerdingNode):
             self._missed += 1
             self.get_logger().warning(
                 f'a plan is late, the old one is played on; raise lead '
-                f'({self._settings.lead:g} s) or lower mapping.paths'
+                f'({self._settings.lead:g} s) or mapping.standard_error, or lower mapping.paths'
             )
         if not coming.done:
             return

@@ -29,6 +29,7 @@ SMALL = Control(
     horizon=Horizon(length=10.0, accepted=5.0), mapping=Mapping(paths=20, max_iterations=2)
 )
 
+PAPER_WITH_OUR_MAPPING = dataclasses.replace(PAPER, mapping=Mapping())
 PLAIN = Mapping(estimator='plain', standard_error=0.0, paths=20)
 
 
@@ -157,6 +158,20 @@ def test_output_mapping_stops_at_the_accuracy_asked_for() -> None:
     assert (enough.mapping_iterations, enough.mapping_status) == (0, Status.CONVERGED)
     assert (short.mapping_iterations, short.mapping_status) == (1, Status.CONVERGED)
     assert report(1e-6).mapping_status is Status.ITERATION_LIMIT
+
+
+@pytest.mark.parametrize('sigma', [0.01, 0.03])
+def test_evaluations_have_the_standard_error_asked_for(sigma: float) -> None:
+    """Plain paths do not get there with all the work they are allowed."""
+    state = herd(30, 5)
+    report = solved(sigma, PAPER_WITH_OUR_MAPPING, state).report
+    wanted = PAPER_WITH_OUR_MAPPING.mapping.standard_error
+    assert 0.1 * wanted < report.standard_error <= 1.1 * wanted  # settled under the first control
+    coarse, fine = report.paths
+    assert coarse >= fine >= 16
+    plain = dataclasses.replace(PAPER_WITH_OUR_MAPPING, mapping=PAPER.mapping)
+    assert solved(sigma, plain, state).report.standard_error > wanted
+    assert solved(sigma, without_mapping(PAPER), state).report.paths == ()
 
 
 @pytest.mark.parametrize('seed', range(3))

@@ -210,7 +210,7 @@ def test_solving_does_not_hold_up_the_commands(
     """While a long solve runs in the background, commands of the old plan keep coming."""
     start(
         'controller', dogs=2, lead=4.0, mapping__paths=4000, mapping__accuracy=1e-9,
-        mapping__max_iterations=12,
+        mapping__max_iterations=12, mapping__standard_error=0.0,
     )  # fmt: skip
     pasture = Pasture(peer, herd)
     goals = peer.talk_to(PoseStamped, 'goal_pose')
@@ -384,7 +384,7 @@ def test_signal_while_solving_ends_at_once(
 ) -> None:
     process = start(
         'controller', dogs=2, lockstep=lockstep, lead=1000.0, mapping__paths=1000,
-        mapping__accuracy=1e-9, mapping__max_iterations=1000,
+        mapping__accuracy=1e-9, mapping__max_iterations=1000, mapping__standard_error=0.0,
     )  # fmt: skip
     pasture = Pasture(peer, herd)
     process.wait_for('ready')

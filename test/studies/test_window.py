@@ -11,7 +11,7 @@ import pytest
 
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
-from herding_ros.control.parameters import Control, Horizon, Mapping, Optimiser, PAPER
+from herding_ros.control.parameters import Control, Horizon, Optimiser, PAPER
 from herding_ros.model.admissible import project
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
@@ -22,7 +22,8 @@ from herding_ros.studies.experiments.direct import pathwise_gradient
 from herding_ros.studies.experiments.settings import changed, differences
 
 SHORT = Horizon(length=8.0, accepted=4.0)
-CONTROL = replace(PAPER, horizon=SHORT, mapping=Mapping(paths=20, max_iterations=2, accuracy=1e-9))
+MAPPING = replace(PAPER.mapping, method='output', paths=20, max_iterations=2, accuracy=1e-9)
+CONTROL = replace(PAPER, horizon=SHORT, mapping=MAPPING)
 HERD = {'sheep': 9, 'dogs': 2, 'sigma': 0.03, 'seed': 1}
 
 
@@ -119,7 +120,7 @@ def variant(**changes: Any) -> dict[str, Any]:
 
 
 def test_the_variant_with_everything_is_the_controllers_aggressive_mapping() -> None:
-    mapping = Mapping('aggressive', 20, 2, tolerance=0.0, min_decrease=-1e9)
+    mapping = replace(MAPPING, method='aggressive', tolerance=0.0, min_decrease=-1e9)
     report = case().plan(replace(CONTROL, mapping=mapping)).report
     found = variant()
     assert found['before'] == pytest.approx(report.mapping_error_before, rel=1e-12)
