@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from herding_ros.control.closed_loop import closed_loop, Planner, play, Run
-from herding_ros.control.parameters import Control, Horizon, Mapping
+from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 
@@ -40,6 +40,24 @@ def test_flock_comes_home(world: World, goal: tuple[float, float], limit: float)
     assert away[0] > 0.4
     assert spread(run) <= 1.5
     assert np.linalg.norm(run.u, axis=-1).max() <= 0.05 * (1.0 + 1e-15)
+
+
+def test_flock_planned_for_as_its_mean_field_limit_comes_home_as_soon() -> None:
+    world = World(sheep=150, position_noise=0.0, velocity_noise=0.0)
+    limit, particles = (
+        closed_loop(
+            Crowd(),
+            world,
+            Control(coarse=Coarse(markers), mapping=Mapping(max_iterations=0)),
+            GOAL,
+            60.0,
+        )
+        for markers in (48, 150)
+    )
+    assert limit.arrived
+    assert limit.t[-1] < 1.1 * particles.t[-1]
+    assert spread(limit) <= 1.5
+    assert not np.array_equal(limit.u[0], particles.u[0])
 
 
 @pytest.mark.parametrize(('world', 'goal', 'limit'), RUNS)
