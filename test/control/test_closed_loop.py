@@ -43,7 +43,7 @@ def test_flock_comes_home(world: World, goal: tuple[float, float], limit: float)
 
 
 def test_flock_planned_for_as_its_mean_field_limit_comes_home_as_soon() -> None:
-    world = World(sheep=150, position_noise=0.0, velocity_noise=0.0)
+    world = World(sheep=100, position_noise=0.0, velocity_noise=0.0)
     limit, particles = (
         closed_loop(
             Crowd(),
@@ -52,7 +52,7 @@ def test_flock_planned_for_as_its_mean_field_limit_comes_home_as_soon() -> None:
             GOAL,
             60.0,
         )
-        for markers in (48, 150)
+        for markers in (32, 100)
     )
     assert limit.arrived
     assert limit.t[-1] < 1.1 * particles.t[-1]
