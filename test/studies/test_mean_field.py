@@ -24,7 +24,7 @@ SMALL = {
 
 def test_error_from_the_density_begins_with_that_of_the_drawn_flock() -> None:
     found = EXPERIMENTS['mean_field_convergence'](
-        sheep=70, duration=0.1, dt=0.05, markers=[16, 64], **HERD
+        sheep=70, duration=0.1, dt=0.05, markers=[16, 64], density_markers=64, **HERD
     )
     drawn = centre(initial_herd(70, 5, np.array(GOAL), np.random.default_rng(3)).x)
     assert found['density']['centre'] == pytest.approx(np.linalg.norm(drawn), rel=1e-3)
@@ -71,8 +71,8 @@ def test_rate_is_the_slope_of_the_errors() -> None:
         return {'flock': {'512': {'centre': error, 'spread': error**2}}}
 
     results = Results([(task, result(task)) for task in tasks])
-    assert study._rate(results, 'centre') == pytest.approx(-1.0, rel=1e-9)
-    assert study._rate(results, 'spread') == pytest.approx(-2.0, rel=1e-9)
+    assert study._rate(results, 'flock', '512', 'centre') == pytest.approx(-1.0, rel=1e-9)
+    assert study._rate(results, 'flock', '512', 'spread') == pytest.approx(-2.0, rel=1e-9)
 
 
 def test_windows_are_planned_for_in_both_ways() -> None:

@@ -31,14 +31,20 @@ _T = TypeVar('_T')
 
 
 def convergence(
-    sheep: int, dogs: int, seed: int, duration: float, dt: float, markers: list[int]
+    sheep: int,
+    dogs: int,
+    seed: int,
+    duration: float,
+    dt: float,
+    markers: list[int],
+    density_markers: int,
 ) -> dict[str, Any]:
     """Drive a flock without noise, and its mean-field limit.
 
     Root mean squares over the time of how far centre and spread are apart [m]: of the limit that
     starts from the flock, by so many markers each, and (density) of that which starts from the
-    density that flocks are drawn from, the pasture, by the most markers. moved: how far the
-    centre gets; widened: how the spread changes.
+    density that flocks are drawn from, by density_markers. moved: how far the centre gets;
+    widened: how the spread changes.
     """
     crowd = Crowd(noise=0.0)
     state = initial_herd(sheep, dogs, np.array(GOAL), np.random.default_rng(seed))
@@ -57,7 +63,7 @@ def convergence(
 
     return {
         'flock': {str(count): errors(state, count) for count in markers},
-        'density': errors(_pasture(state, max(markers)), max(markers)),
+        'density': errors(_pasture(state, density_markers), density_markers),
         'moved': float(np.linalg.norm(centre(flock[-1]) - centre(flock[0]))),
         'widened': float(spread(flock[-1]) - spread(flock[0])),
     }
