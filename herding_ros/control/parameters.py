@@ -136,10 +136,6 @@ class Mapping(Parameters):
         "compare the models' outputs, or (aggressive: the paper's Algorithm 1) their controls",
         choices=('output', 'aggressive'),
     )
-    paths: int = quantity(
-        100, 'most work of an evaluation of the fine model, in Monte Carlo paths', low=2
-    )
-    max_iterations: int = quantity(3, 'most corrections of a plan; 0 plans without noise', low=0)
     estimator: str = quantity(
         'multilevel',
         'expected centre from differences to a cheaper model, or (the paper) from plain paths',

@@ -64,6 +64,24 @@ def test_a_cost_that_is_handed_in_counts() -> None:
     assert moved[1] < 0.5 * moved[0]
 
 
+def test_flock_planned_for_as_its_mean_field_limit_comes_home_as_soon() -> None:
+    world = World(sheep=100, position_noise=0.0, velocity_noise=0.0)
+    limit, particles = (
+        closed_loop(
+            Crowd(),
+            world,
+            Control(coarse=Coarse(markers), mapping=Mapping(max_iterations=0)),
+            GOAL,
+            60.0,
+        )
+        for markers in (32, 100)
+    )
+    assert limit.arrived
+    assert limit.t[-1] < 1.1 * particles.t[-1]
+    assert spread(limit) <= 1.5
+    assert not np.array_equal(limit.u[0], particles.u[0])
+
+
 @pytest.mark.parametrize(('world', 'goal', 'limit'), RUNS)
 def test_flock_does_not_come_home_by_itself(
     world: World, goal: tuple[float, float], limit: float
