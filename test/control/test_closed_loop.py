@@ -5,7 +5,7 @@ import pytest
 
 from herding_ros.control.closed_loop import closed_loop, Planner, play, Run
 from herding_ros.control.costs.containment import Containment
-from herding_ros.control.parameters import Control, Horizon, Mapping
+from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.simulation import Simulation, World
 
