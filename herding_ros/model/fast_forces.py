@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 import math
 
 import numpy as np
 
 from . import kernels
-from .particle_mesh import DirectSum, ParticleMesh, Run
+from .particle_mesh import ParticleMesh, Run
 from .potentials import Potential
 from .state import Array
-
-Sums = ParticleMesh | DirectSum
-"""What sums the forces: has `gradients`, `hessian_products`, and a box that `holds` the flock."""
 
 CROSSOVER = 1500
 """From this number of sheep on the particle mesh is worth its while (doc/performance.md)."""
@@ -38,6 +37,41 @@ _DIRECT, _PAIR, _POINT = 0.9e-9, 0.9e-9, 7e-9
 # Mesh points on the longer side of the box. The most bounds the memory.
 _POINTS = 16.0 * 2.0 ** (np.arange(29) / 4.0)
 _RATIO_STEP, _MOST_RATIO = 0.5, 14.0
+
+
+@dataclass(frozen=True)
+class DirectSum:
+    """The same sums over all pairs, n (n - 1) / 2 of them."""
+
+    potential: Potential
+    n: int
+
+    @cached_property
+    def _form(self) -> kernels.PotentialForm:
+        return kernels.divided(self.potential.kernel_form(), self.n)
+
+    def holds(self, x: Array) -> bool:
+        """Return True: sheep may be anywhere."""
+        return True
+
+    def gradients(self, x: Array) -> Array:
+        """Return 1/n sum_j grad P(x_i - x_j) at x (2, lanes) [m], as (2, lanes) [m/s^2]."""
+        out = np.empty_like(x)
+        ring = np.empty((2, 2, 2 * x.shape[1]))
+        physics = kernels.Physics(self.n, 1.0, self._form, self._form, 0.0)
+        kernels.acceleration(x, np.empty((2, 0)), physics, ring, out)
+        return -out
+
+    def hessian_products(self, x: Array, mu: Array) -> Array:
+        """Return the derivative of the gradients as sheep at x move with velocities mu."""
+        out = np.empty_like(x)
+        ring = np.empty((3, 2, 2 * x.shape[1]))
+        kernels.hessian_products(x, mu, self.n, self._form, ring, out)
+        return out
+
+
+Sums = ParticleMesh | DirectSum
+"""What sums the forces: has `gradients`, `hessian_products`, and a box that `holds` the flock."""
 
 
 def plan(
@@ -86,7 +120,7 @@ def _cheapest(x: Array, low: Array, extent: Array, ratio: float) -> tuple[float,
     costs = []
     reaches = ratio * extent.max() / _POINTS
     for reach in reaches:
-        columns, rows = (extent / reach).astype(int) + 1
+        columns = int(extent[0] / reach) + 1
         column, row = ((counted - low[:, None]) / reach).astype(int)
         numbers = np.bincount(row * columns + column)
         pairs = 0.5 * math.pi * scale * float(numbers @ (numbers - 1.0))

@@ -2,8 +2,8 @@
 
 Everything here works on plain arrays laid out for vector units: coordinates first, sheep
 last and contiguous, padded with unused lanes to a multiple of LANES. A state is x[2, lanes],
-v[2, lanes], d[2, M]. All kernels sit in one file because Numba's on-disk cache notices a
-changed file, but not a changed import. They release the GIL.
+v[2, lanes], d[2, M]. Kernels that call each other sit in one file because
+Numba's on-disk cache notices a changed file, but not a changed import. They release the GIL.
 
 Symbols are those of the paper: alpha friction, mu and lam the adjoints of v and x, nu the
 adjoint of d.
@@ -674,7 +674,7 @@ def add_hessians_of_dogs(
     nu: Array,
     p: PotentialForm,
 ) -> None:
-    """Add the Hessians of P(|x_i - d_m|) times mu_i to h_i, and dt times their sums to nu[2, M]."""
+    """Add Hessians of P(|x_i - d_m|) times mu_i to h_i, and dt times their sums to nu[2, M]."""
     for m in range(d.shape[1]):
         sum_x, sum_y = _add_hessian_of_dog(hx, hy, x, y, mu_x, mu_y, d[0, m], d[1, m], p)
         nu[0, m] += dt * sum_x

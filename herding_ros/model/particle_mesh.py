@@ -20,8 +20,9 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 import scipy.fft
 
-from . import kernels, mesh_kernels
-from .mesh_kernels import Cells, CHUNK, Mesh, ORDER
+from . import mesh_kernels, pair_kernels
+from .mesh_kernels import Mesh, ORDER
+from .pair_kernels import Cells, CHUNK, Indices, Near
 from .potentials import Potential
 from .state import Array
 
@@ -35,7 +36,7 @@ _PARTS = 4
 """Parts of the flock that may be done at a time: a constant, since sums depend on it."""
 
 
-def split(potential: Potential, reach: float) -> tuple[mesh_kernels.Near, Polynomial]:
+def split(potential: Potential, reach: float) -> tuple[Near, Polynomial]:
     """Return the near part's slope, and the smooth part within the reach [m].
 
     The slope as coefficients of powers of r, the smooth part as a polynomial of (r / reach)^2.
@@ -77,8 +78,8 @@ class Flock(NamedTuple):
 
     lanes: int
     x: Array
-    order: mesh_kernels.Indices
-    start: mesh_kernels.Indices
+    order: Indices
+    start: Indices
     parts: list[Part]
 
 
@@ -99,7 +100,7 @@ class ParticleMesh:
     run: Run = map
 
     @cached_property
-    def _split(self) -> tuple[mesh_kernels.Near, Polynomial]:
+    def _split(self) -> tuple[Near, Polynomial]:
         near, smooth = split(self.potential, self.reach)
         return tuple(c / self.n for c in near), smooth
 
@@ -132,7 +133,7 @@ class ParticleMesh:
 
         The least-squares optimum (Hockney and Eastwood 1988) with the aliases of the splines.
         """
-        near, smooth = self._split
+        _, smooth = self._split
         distances, factors = zip(*map(self._axis, self.shape, self.padded), strict=True)
         r = np.hypot(distances[0][:, None], distances[1])
         z = np.minimum(r / self.reach, 1.0)
@@ -169,7 +170,7 @@ class ParticleMesh:
     def gradients(self, x: Array) -> Array:
         """Return 1/n sum_j grad P(x_i - x_j) at x (2, lanes) [m], as (2, lanes) [m/s^2]."""
         flock = self._sort(x)
-        pairs = self._pairs(flock, mesh_kernels.near_gradients, *flock.x)
+        pairs = self._pairs(flock, pair_kernels.near_gradients, *flock.x)
         mesh, field = self._field(flock, mesh_kernels.spread, *flock.x)
 
         def gather(part: Part, out: Array) -> None:
@@ -182,8 +183,8 @@ class ParticleMesh:
         """Return the derivative of the gradients as sheep at x move with velocities mu."""
         flock = self._sort(x)
         moves = np.zeros_like(flock.x)
-        mesh_kernels.take(mu, flock.order, moves)
-        pairs = self._pairs(flock, mesh_kernels.near_hessians, *flock.x, *moves)
+        pair_kernels.take(mu, flock.order, moves)
+        pairs = self._pairs(flock, pair_kernels.near_hessians, *flock.x, *moves)
         mesh, field = self._field(flock, mesh_kernels.spread, *flock.x)
         _, dipoles = self._field(flock, mesh_kernels.spread_dipoles, *flock.x, *moves)
 
@@ -197,10 +198,10 @@ class ParticleMesh:
         cells = self._cells
         order = np.empty(self.n, dtype=np.int64)
         start = np.empty(cells.rows * cells.columns + 1, dtype=np.int64)
-        if not mesh_kernels.sort(x, self.n, cells, order, start):
+        if not pair_kernels.sort(x, self.n, cells, order, start):
             raise ValueError('there are sheep outside the box of the mesh')
         ordered = np.zeros((2, self.n + CHUNK))
-        mesh_kernels.take(x, order, ordered)
+        pair_kernels.take(x, order, ordered)
         begins = start[:: cells.columns]
         shares = np.arange(1, _PARTS) * self.n / _PARTS
         ends = [0, *np.searchsorted(begins, shares).tolist(), cells.rows]
@@ -263,36 +264,5 @@ class ParticleMesh:
         for part, found in zip(flock.parts, pairs, strict=True):
             total[:, part.sheep.start : part.reactions + CHUNK] += found
         out = np.zeros((2, flock.lanes))
-        mesh_kernels.put(total, flock.order, out)
-        return out
-
-
-@dataclass(frozen=True)
-class DirectSum:
-    """The same sums over all pairs, n (n - 1) / 2 of them."""
-
-    potential: Potential
-    n: int
-
-    @cached_property
-    def _form(self) -> kernels.PotentialForm:
-        return kernels.divided(self.potential.kernel_form(), self.n)
-
-    def holds(self, x: Array) -> bool:
-        """Return True: sheep may be anywhere."""
-        return True
-
-    def gradients(self, x: Array) -> Array:
-        """Return 1/n sum_j grad P(x_i - x_j) at x (2, lanes) [m], as (2, lanes) [m/s^2]."""
-        out = np.empty_like(x)
-        ring = np.empty((2, 2, 2 * x.shape[1]))
-        physics = kernels.Physics(self.n, 1.0, self._form, self._form, 0.0)
-        kernels.acceleration(x, np.empty((2, 0)), physics, ring, out)
-        return -out
-
-    def hessian_products(self, x: Array, mu: Array) -> Array:
-        """Return the derivative of the gradients as sheep at x move with velocities mu."""
-        out = np.empty_like(x)
-        ring = np.empty((3, 2, 2 * x.shape[1]))
-        kernels.hessian_products(x, mu, self.n, self._form, ring, out)
+        pair_kernels.put(total, flock.order, out)
         return out
