@@ -8,12 +8,14 @@ from functools import cached_property
 import numpy as np
 
 from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
 from herding_ros.control.reference import reference
 from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array
 
@@ -54,15 +56,17 @@ class Problem:
         return project(np.random.default_rng(1).uniform(-speed, speed, shape), speed)
 
     @cached_property
-    def objective(self) -> Objective:
-        """The cost of a window."""
+    def tracking(self) -> Tracking:
+        """The cost of where the sheep are."""
         control = Control()
-        weights = control.weights
         times = np.arange(self.steps + 1.0) * DT
         wanted = reference(control.reference, self.coarse.state, np.array(GOAL), times)
-        return Objective(
-            weights.centre, weights.spread, weights.control, wanted, np.zeros_like(self.u)
-        )
+        return Tracking(control.weights.centre, control.weights.spread, wanted)
+
+    @cached_property
+    def objective(self) -> Objective:
+        """The cost of a window."""
+        return Objective([self.tracking], Control().weights.control, np.zeros_like(self.u))
 
     def value_and_gradient(self) -> tuple[float, Array]:
         """Return our value, and our gradient in L2(0, T), (intervals, M, 2)."""

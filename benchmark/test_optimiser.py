@@ -40,14 +40,8 @@ class Race:
         intervals = round(horizon / control.horizon.control_period)
         self.start = np.zeros((intervals, len(state.d), 2))
         times = np.arange(intervals * control.horizon.substeps + 1.0) * control.horizon.dt
-        self.objective = Objective(
-            control.weights.centre,
-            control.weights.spread,
-            control.weights.control,
-            reference(control.reference, state, goal, times),
-            self.start,
-            control.weights.dogs,
-        )
+        wanted = reference(control.reference, state, goal, times)
+        self.objective = Objective.weighted(control.weights, wanted, self.start)
         self.target = -np.inf
         best = spg(*self._problem(), control.optimiser.tolerance, control.optimiser.max_iterations)
         self.target = best.value * (1.0 + NEAR)

@@ -27,17 +27,20 @@ Row = tuple[str, str, str, str, str]
 HEAD: Row = ('name', 'default', 'unit', 'allowed', 'meaning')
 
 
-def rows(defaults: Parameters, prefix: str = '', other: Parameters | None = None) -> Iterator[Row]:
-    """Yield a row for each field; a default that differs in `other` is named as well."""
+def rows(
+    defaults: Parameters, prefix: str = '', others: dict[str, Any] | None = None
+) -> Iterator[Row]:
+    """Yield a row for each field; a default that differs in one of `others` is named as well."""
     for field in dataclasses.fields(defaults):
         value = getattr(defaults, field.name)
-        other_value = getattr(other, field.name) if other else value
+        there = {name: getattr(other, field.name) for name, other in (others or {}).items()}
         if isinstance(value, Parameters):
-            yield from rows(value, f'{prefix}{field.name}.', other_value if other else None)
+            yield from rows(value, f'{prefix}{field.name}.', there)
             continue
         default = written(value)
-        if other_value != value:
-            default += f' (`printed`: {written(other_value)})'
+        different = [f'`{name}`: {written(each)}' for name, each in there.items() if each != value]
+        if different:
+            default += f' ({", ".join(different)})'
         unit = field.metadata['unit']
         yield prefix + field.name, default, unit, describe_limits(field), field.metadata['doc']
 
@@ -45,7 +48,7 @@ def rows(defaults: Parameters, prefix: str = '', other: Parameters | None = None
 def crowd_rows() -> Iterator[Row]:
     meaning = 'where the defaults of crowd.* come from'
     yield 'crowd.preset', written('cohesive'), '', ' or '.join(CROWDS), meaning
-    yield from rows(CROWDS['cohesive'], 'crowd.', CROWDS['printed'])
+    yield from rows(CROWDS['cohesive'], 'crowd.', CROWDS)
 
 
 def recorder_rows() -> Iterator[Row]:

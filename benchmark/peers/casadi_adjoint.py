@@ -52,7 +52,7 @@ def value_and_gradient(
 
     With compiler_flags, C is written into the working directory and compiled by `gcc`.
     """
-    coarse, objective = problem.coarse, problem.objective
+    coarse, objective, tracking = problem.coarse, problem.objective, problem.tracking
     n, m, dt = problem.sheep, problem.dogs, coarse.dt
     x, v, d, u = (
         ca.MX.sym(name, size, 2) for name, size in zip('xvdu', (n, n, m, m), strict=True)
@@ -67,8 +67,8 @@ def value_and_gradient(
 
     wanted = ca.MX.sym('wanted', 2)
     centre = ca.sum1(x) / n
-    cost = objective.centre_weight * ca.sumsqr(centre.T - wanted)
-    cost += objective.spread_weight / n * ca.sumsqr(x - ca.repmat(centre, n, 1))
+    cost = tracking.centre_weight * ca.sumsqr(centre.T - wanted)
+    cost += tracking.spread_weight / n * ca.sumsqr(x - ca.repmat(centre, n, 1))
     cost_of_step = ca.Function('cost', [ca.vec(x), wanted], [0.5 * dt * cost])
 
     steps = problem.steps
@@ -77,7 +77,7 @@ def value_and_gradient(
     start = np.concatenate([a.T.ravel() for a in (coarse.state.x, coarse.state.v, coarse.state.d)])
     states = step.mapaccum(steps)(start, of_steps)
     effort = ca.sumsqr(control - _columns(objective.control_reference))
-    value = ca.sum2(cost_of_step.map(steps)(states[: 2 * n, :], objective.reference[1:].T))
+    value = ca.sum2(cost_of_step.map(steps)(states[: 2 * n, :], tracking.reference[1:].T))
     value += 0.5 * coarse.interval * objective.control_weight * effort
     options: dict[str, Any] = {}
     if compiler_flags:

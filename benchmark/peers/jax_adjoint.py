@@ -45,10 +45,10 @@ def _plain_pull(x: Any, y: Any, p: tuple[float, float, float, float]) -> Any:
 def value_and_gradient(problem: Problem, tuned: bool = True) -> Callable[[], tuple[float, Array]]:
     """Return a compiled function of nothing: value, and gradient in L2(0, T)."""
     pull = _pull if tuned else _plain_pull
-    coarse, objective = problem.coarse, problem.objective
+    coarse, objective, tracking = problem.coarse, problem.objective, problem.tracking
     crowd, dt, n = coarse.crowd, coarse.dt, problem.sheep
     start = tuple(jnp.asarray(a.T) for a in (coarse.state.x, coarse.state.v, coarse.state.d))
-    wanted = jnp.asarray(objective.reference[1:])
+    wanted = jnp.asarray(tracking.reference[1:])
 
     def step(state: Any, u: Any) -> tuple[Any, Any]:
         x, v, d = state
@@ -60,11 +60,11 @@ def value_and_gradient(problem: Problem, tuned: bool = True) -> Callable[[], tup
         of_steps = jnp.repeat(jnp.swapaxes(u, 1, 2), coarse.substeps, axis=0)
         _, x = lax.scan(jax.checkpoint(step) if tuned else step, start, of_steps)
         centre = x.mean(2)
-        tracking = objective.centre_weight * jnp.square(centre - wanted).sum()
-        tracking += objective.spread_weight / n * jnp.square(x - centre[:, :, None]).sum()
+        distance = tracking.centre_weight * jnp.square(centre - wanted).sum()
+        distance += tracking.spread_weight / n * jnp.square(x - centre[:, :, None]).sum()
         effort = jnp.square(u - objective.control_reference).sum()
         effort *= coarse.interval * objective.control_weight
-        return 0.5 * (dt * tracking + effort)
+        return 0.5 * (dt * distance + effort)
 
     compiled = jax.jit(jax.value_and_grad(value))
 

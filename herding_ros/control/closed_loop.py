@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, finite, HerdState
 
+from .costs.cost import Cost
 from .estimator import Estimator
 from .parameters import Control
 from .receding_horizon import RecedingHorizon, SolveReport
@@ -43,10 +44,12 @@ class Run:
 class Planner:
     """Receding-horizon control as a policy; keeps its reports and what it believes."""
 
-    def __init__(self, crowd: Crowd, control: Control, goal: Array, seed: int) -> None:
-        """Plan for this crowd and goal (2,) [m]."""
+    def __init__(
+        self, crowd: Crowd, control: Control, goal: Array, seed: int, costs: Sequence[Cost] = ()
+    ) -> None:
+        """Plan for this crowd and goal (2,) [m], with costs besides those of control.weights."""
         horizon = control.horizon
-        self._planner = RecedingHorizon(crowd, control, goal, seed)
+        self._planner = RecedingHorizon(crowd, control, goal, seed, costs)
         self._estimator = Estimator(
             crowd, control.sensor, horizon.control_period, horizon.substeps
         )
@@ -87,14 +90,20 @@ def play(simulation: Simulation, policy: Policy, time_limit: float, stop: bool =
 
 
 def closed_loop(
-    crowd: Crowd, world: World, control: Control, goal: Array, time_limit: float
+    crowd: Crowd,
+    world: World,
+    control: Control,
+    goal: Array,
+    time_limit: float,
+    costs: Sequence[Cost] = (),
 ) -> Run:
     """Herd by receding-horizon control until the flock arrives, or for time_limit [s].
 
     Observation noise, control period and all random numbers are those of the ROS graph in
-    lockstep, and so is the result, bit for bit.
+    lockstep, and so is the result, bit for bit. The controller minimises `costs` as well as
+    those that control.weights ask for.
     """
     simulation = Simulation(crowd, world, finite('goal', goal, (2,)))
-    planner = Planner(crowd, control, goal, world.seed)
+    planner = Planner(crowd, control, goal, world.seed, costs)
     run = play(simulation, planner, time_limit)
     return replace(run, reports=tuple(planner.reports))

@@ -3,7 +3,8 @@
 Between two observations everybody is carried forward by the coarse model, with the velocities
 that the dogs were told; then each is corrected by what was seen. For the uncertainty, each sheep
 and each coordinate is a linear system of its own, of position and velocity, with the model's
-friction and random force. How sheep push each other changes the prediction alone.
+friction and random force, as strong as it is where the sheep is. How sheep push each other changes
+the prediction alone, and so does what their random forces have in common.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
+from herding_ros.model.noise import strength
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, finite, HerdState
 
@@ -53,9 +55,11 @@ class _Tracks:
     doubted: NDArray[np.bool_]
 
     @classmethod
-    def new(cls, names: _Names, mean: Array, variances: list[float]) -> _Tracks:
-        """Begin with one observation, whose k quantities have these variances."""
-        covariance = np.tile(np.diag(variances), (len(names), 1, 1))
+    def new(cls, names: _Names, mean: Array, variances: list[Array | float]) -> _Tracks:
+        """Begin with one observation, whose k quantities have these variances, (n,) or one."""
+        covariance = np.zeros((len(names), len(variances), len(variances)))
+        for q, variance in enumerate(variances):
+            covariance[:, q, q] = variance
         return cls(names, mean, covariance, np.full(len(names), True))
 
     def corrected(self, new: _Tracks, observed: Array, variances: list[float]) -> _Tracks:
@@ -146,10 +150,9 @@ class Estimator:
         self._belief = new
         return new.state
 
-    @property
-    def _force(self) -> float:
-        """Strength of the random force that is expected on sheep [m/s^1.5]."""
-        return max(self.crowd.noise, _LEAST_NOISE)
+    def _force(self, t: float, x: Array) -> Array:
+        """Strength of the random force that is expected on sheep at x [m/s^1.5], (n,) or ()."""
+        return np.maximum(strength(self.crowd, t, x), _LEAST_NOISE)
 
     @property
     def _variances(self) -> tuple[float, float]:
@@ -164,8 +167,9 @@ class Estimator:
         """Return what is known from one observation: sheep seldom run faster than at random."""
         position, velocity = self._variances
         # Friction and random force alone give velocities the variance sigma^2 / (2 alpha).
-        share = self._force**2 / (self._force**2 + 2.0 * self.crowd.friction * velocity)
-        sheep = np.stack([observed.x, share * observed.v], axis=1)
+        force = self._force(t, observed.x)
+        share = force**2 / (force**2 + 2.0 * self.crowd.friction * velocity)
+        sheep = np.stack([observed.x, share[..., None] * observed.v], axis=1)
         return _Belief(
             t,
             _Tracks.new(ids, sheep, [position, share * velocity]),
@@ -186,7 +190,7 @@ class Estimator:
         )
         end = rollout(crowd, belief.state, u[None, belief.dogs.names], dt, steps).at(-1)
         step = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
-        force = np.diag([0.0, self._force**2 * dt])
+        force = self._force(belief.t, belief.state.x)[..., None, None] ** 2 * np.diag([0.0, dt])
         covariance = belief.sheep.covariance
         for _ in range(steps):
             covariance = step @ covariance @ step.T + force

@@ -2,34 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from herding_ros.model import kernels
 from herding_ros.model.state import Array, Trajectory
+
+from .costs.containment import Containment
+from .costs.cost import Cost
+from .costs.leash import Leash
+from .costs.terminal import Terminal
+from .costs.tracking import Tracking
+from .parameters import Weights
 
 
 @dataclass(frozen=True)
 class Objective:
-    """Tracking cost of a trajectory x of N sheep under a control u.
+    """Cost of a trajectory under a control u: a sum of terms.
 
-    J = int a/2 |xc - Z|^2 + b/(2N) sum_i |x_i - xc|^2
-            + gamma/2 |u - u_ref|^2 + c/2 sum_m |d_m - Z|^2 dt
+    J = sum of costs + int gamma/2 |u - u_ref|^2 dt + leash
 
-    with xc the centre of mass, a = centre_weight, b = spread_weight, gamma = control_weight,
-    c = dogs_weight, Z = reference (K+1, 2) [m] and u_ref = control_reference (intervals, M, 2)
-    [m/s]. Since 1/N sum |x_i - Z|^2 = |xc - Z|^2 + 1/N sum |x_i - xc|^2, the paper's cost is
-    a = b = 1, c = 0. Integrals are right-hand Riemann sums: the start cannot be changed and
-    costs nothing.
+    with gamma = control_weight and u_ref = control_reference (intervals, M, 2) [m/s]. The costs
+    are functions of the sheep's positions; that of the dogs' positions is the leash, if any.
     """
 
-    centre_weight: float
-    spread_weight: float
+    costs: Sequence[Cost]
     control_weight: float
-    reference: Array
     control_reference: Array
-    dogs_weight: float = 0.0
+    leash: Leash | None = None
+
+    @classmethod
+    def weighted(
+        cls,
+        weights: Weights,
+        reference: Array,
+        control_reference: Array,
+        further: Sequence[Cost] = (),
+    ) -> Objective:
+        """Return the objective with these weights, a reference (K+1, 2) [m] and further costs."""
+        tracking = Tracking(weights.centre, weights.spread, reference)
+        costs: list[Cost] = [tracking]
+        if weights.terminal:
+            costs.append(Terminal(weights.terminal, tracking))
+        if weights.containment:
+            costs.append(Containment(weights.containment, weights.radius, reference))
+        leash = Leash(weights.dogs, reference) if weights.dogs else None
+        return cls([*costs, *further], weights.control, control_reference, leash)
 
     def value_and_derivatives(
         self, trajectory: Trajectory, u: Array, interval: float
@@ -41,24 +60,16 @@ class Objective:
         dog is where its control has brought it. interval [s] is the time for which each u
         (intervals, M, 2) [m/s] is held.
         """
-        source = np.empty_like(trajectory.xs)
-        tracking = kernels.tracking_cost(
-            trajectory.xs,
-            self.reference,
-            trajectory.n,
-            self.centre_weight,
-            self.spread_weight,
-            trajectory.dt,
-            source,
-        )
+        value, source = self.costs[0].value_and_derivative(trajectory)
+        for cost in self.costs[1:]:
+            more, derivative = cost.value_and_derivative(trajectory)
+            value += more
+            source += derivative
         change = u - self.control_reference
-        effort = 0.5 * interval * self.control_weight * float(np.square(change).sum())
+        value += 0.5 * interval * self.control_weight * float(np.square(change).sum())
         direct = self.control_weight * change
-        value = tracking + effort
-        if self.dogs_weight:
-            away = trajectory.d[1:] - self.reference[1:, None]
-            value += 0.5 * trajectory.dt * self.dogs_weight * float(np.square(away).sum())
-            # Each control moves its dog at all later instants.
-            later = trajectory.dt * self.dogs_weight * np.cumsum(away[::-1], axis=0)[::-1]
-            direct += later.reshape(len(u), -1, *u.shape[1:]).mean(axis=1)
+        if self.leash is not None:
+            more, gradient = self.leash.value_and_gradient(trajectory, len(u))
+            value += more
+            direct += gradient
         return value, source, direct

@@ -19,6 +19,17 @@ class Weights(Parameters):
         "weight of each dog's distance from the reference; keeps dogs from running off",
         low=0.0,
     )
+    terminal: float = quantity(
+        0.0,
+        'weight of centre and spread at the end of the window: it counts as if it went on for '
+        'so long',
+        's',
+        low=0.0,
+    )
+    containment: float = quantity(
+        0.0, 'weight of sheep outside the disc of this radius around the reference', '1/m', low=0.0
+    )
+    radius: float = quantity(0.6, 'radius of that disc', 'm', low=0.0)
 
 
 @dataclass(frozen=True)
@@ -37,6 +48,10 @@ class Reference(Parameters):
         'm/s',
         low=TINY,
     )
+
+
+MOST_INTERVALS = 2000
+"""Control periods in a window: more would take memory by the gigabyte."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +75,11 @@ class Horizon(Parameters):
                     f'Horizon.{name} is {getattr(self, name)!r}, allowed is a multiple of '
                     f'control_period, {self.control_period!r}'
                 )
+        if self.intervals > MOST_INTERVALS:
+            raise ValueError(
+                f'Horizon.length is {self.length!r}, allowed is at most {MOST_INTERVALS} times '
+                f'control_period, {self.control_period!r}'
+            )
         if self.accepted > self.length:
             raise ValueError(
                 f'Horizon.accepted is {self.accepted!r}, allowed is at most the length, '
@@ -75,6 +95,18 @@ class Horizon(Parameters):
     def dt(self) -> float:
         """Time step of the prediction [s]."""
         return self.control_period / self.substeps
+
+
+@dataclass(frozen=True)
+class Coarse(Parameters):
+    """The deterministic model that a plan is made with: all sheep, or their mean-field limit."""
+
+    markers: int = quantity(
+        128,
+        'points that stand for a flock of more than twice as many sheep (its mean-field limit); '
+        'smaller flocks are predicted sheep by sheep',
+        low=1,
+    )
 
 
 @dataclass(frozen=True)
@@ -104,7 +136,23 @@ class Mapping(Parameters):
         "compare the models' outputs, or (aggressive: the paper's Algorithm 1) their controls",
         choices=('output', 'aggressive'),
     )
-    paths: int = quantity(100, 'Monte Carlo paths of the fine model', low=1)
+    estimator: str = quantity(
+        'multilevel',
+        'expected centre from differences to a cheaper model, or (the paper) from plain paths',
+        choices=('multilevel', 'plain'),
+    )
+    standard_error: float = quantity(
+        1e-3,
+        'standard error of the expected centre that is small enough; 0 does all `paths` allows',
+        'm',
+        low=0.0,
+    )
+    paths: int = quantity(
+        100,
+        'most work of an evaluation of the fine model, in Monte Carlo paths',
+        low=2,
+        high=10_000,
+    )
     max_iterations: int = quantity(3, 'most corrections of a plan; 0 plans without noise', low=0)
     accuracy: float = quantity(
         1e-3,
@@ -154,6 +202,7 @@ class Control(Parameters):
     weights: Weights = Weights()
     reference: Reference = Reference()
     horizon: Horizon = Horizon()
+    coarse: Coarse = Coarse()
     optimiser: Optimiser = Optimiser()
     mapping: Mapping = Mapping()
     sensor: Sensor = Sensor()
@@ -163,6 +212,6 @@ PAPER = Control(
     weights=Weights(centre=1.0, spread=1.0, dogs=0.0),
     reference=Reference(kind='interpolated'),
     optimiser=Optimiser(tolerance=5e-3),
-    mapping=Mapping(method='aggressive'),
+    mapping=Mapping(method='aggressive', estimator='plain', standard_error=0.0),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""

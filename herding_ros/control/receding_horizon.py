@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,12 +13,16 @@ import numpy as np
 
 from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre
+from herding_ros.model.mean_field import mean_field
+from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping
 from .adjoint import CentreSensitivity, CoarseModel
+from .costs.cost import Cost
+from .costs.tracking import Tracking
 from .gauss_newton import gauss_newton
 from .ncg import ncg
 from .objective import Objective
@@ -55,6 +59,10 @@ class SolveReport:
     """Evaluations of value and gradient in the coarse solve, on both time grids."""
     fine_calls: int
     """Monte Carlo evaluations of the fine model, each of all paths."""
+    paths: tuple[int, ...]
+    """Paths of an evaluation, by level, the finest last; empty without mapping."""
+    standard_error: float
+    """The largest of these evaluations' [m]; 0 without mapping."""
     extraction_calls: int
     """Rollouts of the coarse model in parameter extraction."""
     mapping_status: Status
@@ -88,16 +96,18 @@ class Window:
 class RecedingHorizon:
     """Plans window after window, each solve started from what the last one found.
 
-    The noise paths are drawn once from the seed and shared by all evaluations of the fine
-    model (common random numbers), in this and all later windows.
+    The noise is drawn from the seed and shared by all evaluations of the fine model (common
+    random numbers), in this and all later windows. How many paths each window takes of it, its
+    first evaluation settles. `costs` are added to those that the weights ask for.
     """
 
     crowd: Crowd
     control: Control
     goal: Array
     seed: int = 0
+    costs: Sequence[Cost] = ()
     _last: Plan | None = field(default=None, init=False)
-    _noise: NoisePaths | None = field(default=None, init=False)
+    _noise: Noise | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -131,6 +141,14 @@ class RecedingHorizon:
         """Plan with these from the next solve on."""
         self.crowd, self.control, self._noise = crowd, control, None
 
+    def coarse_model(self, state: HerdState) -> CoarseModel:
+        """Return the model without noise: the flock itself, or the limit of a large one."""
+        crowd, horizon, markers = self.crowd, self.control.horizon, self.control.coarse.markers
+        # Of less than two sheep to each blob the limit is no simpler, and worse.
+        if len(state.x) > 2 * markers:
+            crowd, state = mean_field(crowd, state, markers)
+        return CoarseModel(crowd, state, horizon.dt, horizon.substeps)
+
     def solve(self, state: HerdState, t: float, out_of_time: OutOfTime = never) -> Window:
         """Plan the window that starts at t [s] in the given state.
 
@@ -139,17 +157,20 @@ class RecedingHorizon:
         """
         clock = _Stopwatch()
         control, horizon = self.control, self.control.horizon
-        coarse = CoarseModel(self.crowd, state, horizon.dt, horizon.substeps)
+        coarse = self.coarse_model(state)
         with clock.phase('coarse'):
             solution = self._solve_coarse(coarse, t, out_of_time)
             coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
             wanted = coarse_centre(solution.u)
         if control.mapping.max_iterations and not out_of_time():
-            mapping, extractions = self._map(coarse, coarse_centre, solution.u, clock, out_of_time)
+            expectation = self._expectation(state, t)
+            mapping, extractions, expected = self._map(
+                coarse, expectation, coarse_centre, solution.u, clock, out_of_time
+            )
         else:
             left_out = Status.OUT_OF_TIME if control.mapping.max_iterations else Status.CONVERGED
             mapping = MappingResult(solution.u, wanted, left_out, (), ())
-            extractions = 0
+            extractions, expected = 0, []
         plan = Plan(t, horizon.control_period, mapping.u)
         self._last = plan
         report = SolveReport(
@@ -158,7 +179,9 @@ class RecedingHorizon:
             gradient_norm=solution.gradient_norm,
             optimiser_iterations=solution.iterations,
             optimiser_calls=solution.calls,
-            fine_calls=len(mapping.misfits),
+            fine_calls=len(expected),
+            paths=expected[0].paths if expected else (),
+            standard_error=max((each.standard_error for each in expected), default=0.0),
             extraction_calls=extractions,
             mapping_status=mapping.status,
             mapping_iterations=mapping.iterations,
@@ -186,9 +209,7 @@ class RecedingHorizon:
             steps = horizon.intervals * substeps
             times = model.dt * np.arange(steps + 1, dtype=np.float64)
             route = reference(self.control.reference, coarse.state, self.goal, times)
-            objective = Objective(
-                weights.centre, weights.spread, weights.control, route, no_control, weights.dogs
-            )
+            objective = Objective.weighted(weights, route, no_control, self.costs)
             solutions.append(self._optimise(model, objective, u, limit, out_of_time))
             u = solutions[-1].u
             limit = -(-limit // 3)
@@ -223,25 +244,27 @@ class RecedingHorizon:
     def _map(
         self,
         coarse: CoarseModel,
+        expectation: ExpectedCentre,
         coarse_centre: Callable[[Array], Array],
         u_coarse: Array,
         clock: _Stopwatch,
         out_of_time: OutOfTime,
-    ) -> tuple[MappingResult, int]:
-        """Correct the coarse optimum for the noise; also return the coarse solves' rollouts."""
+    ) -> tuple[MappingResult, int, list[Expectation]]:
+        """Correct the coarse optimum for the noise.
+
+        Also return the rollouts in parameter extraction, and what the fine model said.
+        """
         horizon, mapping = self.control.horizon, self.control.mapping
         gamma = self.control.weights.control
         wanted = coarse_centre(u_coarse)
-        noise = self._common_noise(len(coarse.state.x), len(wanted) - 1)
         every = max(round(_NODE_SPACING / horizon.dt), 1)
         calls = 0
+        expected: list[Expectation] = []
 
         def fine(u: Array) -> Array:
             with clock.phase('fine'):
-                mean = expected_positions(
-                    self.crowd, coarse.state, u, horizon.dt, horizon.substeps, noise
-                )
-                return centre(mean)
+                expected.append(expectation(u))
+                return expected[-1].centre
 
         @_remembering
         def sensitivity(u: Array) -> CentreSensitivity:
@@ -276,7 +299,7 @@ class RecedingHorizon:
         def match_individuals(target: Array, start: Array) -> Array:
             nonlocal calls
             with clock.phase('extraction'):
-                objective = Objective(1.0, 1.0, gamma, target, u_coarse)
+                objective = Objective([Tracking(1.0, 1.0, target)], gamma, u_coarse)
                 limit = self.control.optimiser.max_iterations
                 found = self._optimise(coarse, objective, start, limit, out_of_time)
                 calls += found.calls
@@ -315,15 +338,18 @@ class RecedingHorizon:
                 mapping.max_iterations,
                 out_of_time=out_of_time,
             )
-        return result, calls
+        return result, calls, expected
 
-    def _common_noise(self, n: int, steps: int) -> NoisePaths:
-        if self._noise is None or self._noise_sheep != n:
-            rng = np.random.default_rng(self.seed)
-            paths, dt = self.control.mapping.paths, self.control.horizon.dt
-            self._noise = noise_paths(rng, self.crowd, n, dt, steps, paths)
-            self._noise_sheep = n
-        return self._noise
+    def _expectation(self, state: HerdState, t: float) -> ExpectedCentre:
+        """Return the expected centre from a state at t [s] on, as a function of the control."""
+        horizon, mapping = self.control.horizon, self.control.mapping
+        steps = horizon.intervals * horizon.substeps
+        fine = FineModel(self.crowd, state, horizon.dt, steps, horizon.substeps, t)
+        estimator = ESTIMATORS[mapping.estimator]
+        if self._noise is None or self._noise_sheep != fine.sheep:
+            self._noise = Noise(fine, estimator, self.seed)
+            self._noise_sheep = fine.sheep
+        return ExpectedCentre(fine, estimator, self._noise, mapping.standard_error, mapping.paths)
 
 
 def _remembering(function: Callable[[Array], _T]) -> Callable[[Array], _T]:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from .noise_field import NoiseField, NoiseFunction
 from .parameters import Parameters, quantity
 from .potentials import Morse, Potential
 
 
 @dataclass(frozen=True)
 class Crowd(Parameters):
-    """How sheep move (paper, state system). The defaults are the preset `cohesive`."""
+    """How sheep move (paper, state system). The defaults are the preset `cohesive`.
+
+    How the last three make up the random force is told in `noise`.
+    """
 
     sheep: Potential = Morse(1.0, 1e-2, 5e-4, 2.0)
     dog: Potential = Morse(1e-2, 0.5, 5e-4, 2.0)
@@ -18,15 +22,21 @@ class Crowd(Parameters):
     noise: float = quantity(
         0.01, 'strength sigma of the random force on each sheep', 'm/s^1.5', low=0.0
     )
+    common_noise: float = quantity(
+        0.0, 'share of its variance that all sheep have in common', low=0.0, high=1.0
+    )
+    noise_field: NoiseFunction = NoiseField()
 
 
 CROWDS = {
     'cohesive': Crowd(),
     'printed': Crowd(sheep=Morse(1.0, 2.0, 5e-4, 1e-2), dog=Morse(1e-2, 0.5, 5e-4, 1e-2)),
+    'guided': Crowd(dog=Morse(2e-3, 0.1, 2e-2, 1.0)),
 }
 """Crowds by name; `sheep` is the potential between two sheep, `dog` that of a dog on a sheep.
 
 `cohesive` is the paper's with the two lengths swapped, so that the text's long-range
 attraction and short-range repulsion hold; `printed` takes the paper by the letter, and the
-crowd explodes.
+crowd explodes. `guided` follows its dogs, which are guides: they attract, but not to
+themselves, since both parts have the same slope at r = 0.
 """

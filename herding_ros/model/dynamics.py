@@ -5,11 +5,11 @@ velocities (the control), P_1 and P_2 the potentials of sheep and dogs (paper, s
 
     x_i' = x_i + dt v_i
     v_i' = v_i + dt (-1/N sum_j grad P_1(x_i - x_j) - sum_m grad P_2(x_i - d_m) - alpha v_i)
-               + sigma dB_i
+               + sigma f(t, x_i) dB_i
     d_m' = d_m + dt u_m
 
-The noise sigma dB is an argument. Without it this is the paper's coarse model, with it the
-fine one; there is no other difference.
+The noise sigma dB is an argument, see `noise`. Without it this is the paper's coarse model, with
+it the fine one; there is no other difference.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 
 from . import fast_forces, kernels
 from .crowd import Crowd
+from .noise import factor, is_uniform
 from .state import Array, finite, HerdState, Trajectory
 
 
@@ -64,14 +65,6 @@ def _acceleration(sums: fast_forces.Sums, x: Array, d: Array, constants: kernels
     return out
 
 
-def increments(rng: np.random.Generator, crowd: Crowd, n: int, dt: float, steps: int) -> Array:
-    """Draw sigma dB for n sheep: (steps, 2, lanes) [m/s], dB ~ N(0, dt) each."""
-    noise = np.zeros((steps, 2, kernels.lanes(n)))
-    noise[..., :n] = rng.standard_normal((steps, 2, n))
-    noise *= crowd.noise * np.sqrt(dt)
-    return noise
-
-
 def check_control(u: Array, dogs: int) -> Array:
     """Return the control as a contiguous array (intervals, M, 2), or raise ValueError."""
     return np.ascontiguousarray(finite('control u', u, (None, dogs, 2)))
@@ -84,16 +77,19 @@ def rollout(
     dt: float,
     substeps: int = 1,
     noise: Array | None = None,
+    t: float = 0.0,
 ) -> Trajectory:
     """Integrate the herd from state under the control u.
 
     u (intervals, M, 2) [m/s] is constant on intervals of `substeps` steps of dt [s]. noise
-    (intervals * substeps, 2, lanes) [m/s] comes from `increments`; None is the coarse model.
+    (intervals * substeps, 2, lanes) [m/s] comes from `increments`; None is the coarse model. The
+    rollout starts at t [s], which counts when the noise depends on time.
     """
     n, m = len(state.x), len(state.d)
     u = check_control(u, m)
     steps = len(u) * substeps
     shape = (steps, 2, kernels.lanes(n))
+    uniform = noise is None or is_uniform(crowd.noise_field)
     if noise is None:
         noise = np.zeros(shape)
     if noise.shape != shape:
@@ -103,15 +99,26 @@ def rollout(
     ds = np.empty((steps + 1, 2, m))
     xs[0], vs[0], ds[0] = to_lanes(state.x), to_lanes(state.v), state.d.T
     constants = physics(crowd, n, dt)
-    if n < fast_forces.CROSSOVER:
+
+    def noise_of(k: int) -> Array:
+        if uniform:
+            return noise[k]
+        scaled = np.zeros(shape[1:])
+        scaled[:, :n] = factor(crowd, t + k * dt, xs[k, :, :n]) * noise[k, :, :n]
+        return scaled
+
+    if n >= fast_forces.CROSSOVER:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for k, sums in enumerate(fast_forces.plans(crowd.sheep, xs[:-1], n, pool.map)):
+                held, a = u[k // substeps], _acceleration(sums, xs[k], ds[k], constants)
+                then = xs[k + 1], vs[k + 1], ds[k + 1]
+                kernels.step(xs[k], vs[k], ds[k], held, a, noise_of(k), constants, *then)
+    elif uniform:
         kernels.rollout(xs, vs, ds, u, substeps, noise, constants)
-        return Trajectory(dt, n, xs, vs, ds)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        plans = fast_forces.plans(crowd.sheep, xs[:-1], n, pool.map)
-        for k, sums in enumerate(plans):
-            a = _acceleration(sums, xs[k], ds[k], constants)
-            after = xs[k + 1], vs[k + 1], ds[k + 1]
-            kernels.step(xs[k], vs[k], ds[k], u[k // substeps], a, noise[k], constants, *after)
+    else:
+        for k in range(steps):
+            here, held = slice(k, k + 2), u[k // substeps, None]
+            kernels.rollout(xs[here], vs[here], ds[here], held, 1, noise_of(k)[None], constants)
     return Trajectory(dt, n, xs, vs, ds)
 
 

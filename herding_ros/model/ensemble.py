@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 import os
 
 import numpy as np
@@ -12,36 +12,8 @@ from . import kernels
 from .crowd import Crowd
 from .dynamics import check_control, physics, to_lanes
 from .kernels import PATHS
+from .noise import factor, is_uniform, NoisePaths
 from .state import Array, HerdState
-
-
-@dataclass(frozen=True)
-class NoisePaths:
-    """Noise sigma dB of many paths, as the kernels want it.
-
-    blocks (blocks, K, 2, n * PATHS) [m/s]: PATHS paths are integrated at once, those of a
-    sheep side by side. The last block may hold more than is used: `paths` counts.
-    """
-
-    paths: int
-    blocks: Array
-
-    def path(self, i: int) -> Array:
-        """Return the noise of path i as `rollout` wants it, (K, 2, lanes) [m/s]."""
-        block, lane = divmod(range(self.paths)[i], PATHS)
-        values = self.blocks[block, :, :, lane::PATHS]
-        out = np.zeros((*values.shape[:2], kernels.lanes(values.shape[2])))
-        out[:, :, : values.shape[2]] = values
-        return out
-
-
-def noise_paths(
-    rng: np.random.Generator, crowd: Crowd, n: int, dt: float, steps: int, paths: int
-) -> NoisePaths:
-    """Draw sigma dB for n sheep and K = steps of dt [s], with dB ~ N(0, dt) each."""
-    blocks = rng.standard_normal((-(-paths // PATHS), steps, 2, n * PATHS))
-    blocks *= crowd.noise * np.sqrt(dt)
-    return NoisePaths(paths, blocks)
 
 
 def expected_positions(
@@ -52,10 +24,11 @@ def expected_positions(
     substeps: int,
     noise: NoisePaths,
     threads: int | None = None,
+    t: float = 0.0,
 ) -> Array:
     """Mean positions (K+1, N, 2) [m] of the sheep over the given noise paths.
 
-    u and substeps as in `rollout`. Handing in the same noise for different controls (common
+    u, substeps and t as in `rollout`. Handing in the same noise for different controls (common
     random numbers) makes the result a smooth, repeatable function of the control. Runs on all
     cores by default. Blocks of paths are summed in their order, so that the result has the
     same bits for any number of threads.
@@ -75,9 +48,45 @@ def expected_positions(
     def sum_of_block(block: int) -> Array:
         total = np.zeros((steps + 1, 2, n))
         used = min(noise.paths - block * PATHS, PATHS)
-        kernels.add_paths(total, x, v, d, u, substeps, noise.blocks[block], used, constants)
+        drawn = noise.blocks[block]
+        if is_uniform(crowd.noise_field):
+            kernels.add_paths(total, x, v, d, u, substeps, drawn, used, constants)
+        else:
+            start = (x[:, :n], v[:, :n], d)
+            xs = paths_in_field(crowd, t, *start, u, substeps, drawn, constants)
+            for k, here in enumerate(xs):
+                total[k] = here.reshape(2, n, PATHS)[..., :used].sum(axis=-1)
         return total
 
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
         total = sum(pool.map(sum_of_block, range(len(noise.blocks))))
     return np.asarray(total).transpose(0, 2, 1) / noise.paths
+
+
+def paths_in_field(
+    crowd: Crowd,
+    t: float,
+    x: Array,
+    v: Array,
+    d: Array,
+    u: Array,
+    substeps: int,
+    noise: Array,
+    physics: kernels.Physics,
+) -> Iterator[Array]:
+    """Yield the positions in some paths at each step, where the noise depends on time and place.
+
+    They start at t [s] from x, v (2, N) and d (2, M); noise (K, 2, N * paths) has the paths of a
+    sheep side by side, and so have the positions (2, N * paths) [m].
+    """
+    xs, vs = (np.repeat(each, noise.shape[2] // x.shape[1], axis=1) for each in (x, v))
+    ds = d
+    a = np.empty_like(xs)
+    for k in range(len(noise)):
+        yield xs
+        scaled = factor(crowd, t + k * physics.dt, xs) * noise[k]
+        following = np.empty_like(xs), np.empty_like(vs), np.empty_like(ds)
+        kernels.acceleration_in_paths(xs, ds, physics, a)
+        kernels.step(xs, vs, ds, u[k // substeps], a, scaled, physics, *following)
+        xs, vs, ds = following
+    yield xs

@@ -388,14 +388,16 @@ def _subtract_pull_of_pair(
 
 @_kernel
 def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> None:
-    """Do what `acceleration` does for PATHS paths at once: x, out[2, n * PATHS].
+    """Do what `acceleration` does for PATHS paths at once: x, out[2, sheep * PATHS].
 
     The paths of a sheep lie side by side, so that a vector unit takes the same pair in many
-    paths. Then each pair needs a single look: action and reaction are opposite.
+    paths. Then each pair needs a single look: action and reaction are opposite. With more than
+    physics.n sheep, each group of n, one after the other, is a flock of its own.
     """
     out[:] = 0.0
+    group = physics.n * PATHS
     for i in range(0, x.shape[1], PATHS):
-        for j in range(0, i, PATHS):
+        for j in range(i // group * group, i, PATHS):
             _subtract_pull_of_pair(out[0], out[1], x[0], x[1], i, j, physics.sheep)
     subtract_pulls(out[0], out[1], x[0], x[1], d, physics.dog)
 
@@ -486,6 +488,69 @@ def add_paths(
                 xs[here], vs[here], ds[here], u[k // substeps], a, noise[k], physics,
                 xs[there], vs[there], ds[there],
             )  # fmt: skip
+
+
+@_kernel
+def _advance(x: Array, v: Array, a: Array, noise: Array, dt: float, alpha: float) -> None:
+    """Make an Euler-Maruyama step of the sheep in place; all [2, sheep * paths]."""
+    for c in range(2):
+        for i in range(x.shape[1]):
+            velocity = v[c, i]
+            x[c, i] += dt * velocity
+            v[c, i] = velocity + dt * (a[c, i] - alpha * velocity) + noise[c, i]
+
+
+@_inlined
+def _add_over_sheep(x: Array, paths: int, factor: float, out: Array) -> None:
+    """Add factor times the sum over the sheep in x[sheep * paths] to out[paths]."""
+    for i in range(0, x.shape[0], paths):
+        for path in range(paths):
+            out[path] += factor * x[i + path]
+
+
+@_kernel
+def centres(x: Array, v: Array, d: Array, noise: Array, physics: Physics, out: Array) -> None:
+    """Put the sheep's centres in some paths in out[K+1, 2, paths].
+
+    x, v[2, sheep] is the start of all paths, d[K+1, 2, M] the dogs, noise[K, 2, sheep * paths]
+    has a sheep's paths side by side. Each group of physics.n sheep is a flock of its own; with
+    n > 1 there have to be PATHS paths.
+    """
+    sheep, paths = x.shape[1], out.shape[2]
+    xs = np.empty((2, sheep * paths))
+    vs = np.empty_like(xs)
+    a = np.empty_like(xs)
+    for c in range(2):
+        for i in range(sheep):
+            xs[c, i * paths : (i + 1) * paths] = x[c, i]
+            vs[c, i * paths : (i + 1) * paths] = v[c, i]
+    out[:] = 0.0
+    for k in range(out.shape[0]):
+        for c in range(2):
+            _add_over_sheep(xs[c], paths, 1.0 / sheep, out[k, c])
+        if k < noise.shape[0]:
+            acceleration_in_paths(xs, d[k], physics, a)
+            _advance(xs, vs, a, noise[k], physics.dt, physics.alpha)
+
+
+@_kernel
+def free_centres(noise: Array, sheep: int, dt: float, alpha: float, out: Array) -> None:
+    """Put what noise[K, 2, sheep * paths] does to the centre of free sheep in out[K+1, 2, paths].
+
+    Free sheep know friction only; they start at rest in the origin.
+    """
+    paths = out.shape[2]
+    x = np.zeros((2, paths))
+    v = np.zeros_like(x)
+    no_force = np.zeros_like(x)
+    mean = np.empty_like(x)
+    out[0] = 0.0
+    for k in range(noise.shape[0]):
+        mean[:] = 0.0
+        for c in range(2):
+            _add_over_sheep(noise[k, c], paths, 1.0 / sheep, mean[c])
+        _advance(x, v, no_force, mean, dt, alpha)
+        out[k + 1] = x
 
 
 @_kernel
@@ -827,3 +892,29 @@ def centre_adjoints(
             if nodes[q] == k:
                 for c in range(2):
                     lam[c, 2 * q + c :: PATHS] += 1.0 / n
+
+
+@_kernel
+def linear_centres(x: Array, d: Array, noise: Array, physics: Physics, out: Array) -> None:
+    """Put the centre's first-order answer to the noise, in PATHS paths, in out[K+1, 2, PATHS].
+
+    x[K+1, 2, lanes], d[K+1, 2, M] from rollout without noise; noise[K, 2, n * PATHS].
+    """
+    n = physics.n
+    flock = np.empty((n, 3, x.shape[2]))
+    dog = np.empty((d.shape[2], 3, x.shape[2]))
+    # Displacements of the sheep, then of the dogs, which noise does not move.
+    sheep = n * PATHS
+    dx = np.zeros((2, sheep + d.shape[2] * PATHS))
+    dv = np.zeros((2, sheep))
+    h = np.empty_like(dx)
+    out[:] = 0.0
+    for k in range(noise.shape[0]):
+        _hessians(x[k, :, :n], x[k], physics.sheep, flock)
+        _hessians(d[k], x[k], physics.dog, dog)
+        h[:] = 0.0
+        _add_hessians_of_pairs(h[0], h[1], dx[0], dx[1], n, flock, dog)
+        np.negative(h, h)
+        _advance(dx[:, :sheep], dv, h[:, :sheep], noise[k], physics.dt, physics.alpha)
+        for c in range(2):
+            _add_over_sheep(dx[c, :sheep], PATHS, 1.0 / n, out[k + 1, c])

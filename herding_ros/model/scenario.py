@@ -9,22 +9,26 @@ from .state import Array, HerdState
 GOAL = (0.5, 0.5)
 """The destination, unless another is given [m]."""
 
-_PASTURE = 0.4
+PASTURE = 0.4
 """Sheep start uniformly in a square of twice this side around the origin [m]."""
-_DOG_RADIUS = 0.9
+DOG_RADIUS = 0.9
 _DOG_ARC = 0.9
 """Dogs start on an arc of this radius [m], within plus or minus this angle [rad]."""
 
 
-def initial_herd(sheep: int, dogs: int, goal: Array, rng: np.random.Generator) -> HerdState:
+def initial_herd(
+    sheep: int, dogs: int, goal: Array, rng: np.random.Generator, ahead: bool = False
+) -> HerdState:
     """Sheep at rest around the origin, dogs on an arc on the side away from the goal (2,) [m].
 
-    The paper gives no positions; these are our own.
+    Or, if ahead, on the side of the goal. The paper gives no positions; these are our own.
     """
     if sheep < 1 or dogs < 1:
         raise ValueError(f'a herd needs at least one sheep and one dog, given {sheep} and {dogs}')
-    x = rng.uniform(-_PASTURE, _PASTURE, (sheep, 2))
-    away = np.arctan2(-goal[1], -goal[0])
-    angles = away + (np.linspace(-_DOG_ARC, _DOG_ARC, dogs) if dogs > 1 else np.zeros(1))
-    d = _DOG_RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    x = rng.uniform(-PASTURE, PASTURE, (sheep, 2))
+    side = goal if ahead else -goal
+    angles = np.arctan2(side[1], side[0]) + (
+        np.linspace(-_DOG_ARC, _DOG_ARC, dogs) if dogs > 1 else np.zeros(1)
+    )
+    d = DOG_RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     return HerdState(x, np.zeros_like(x), d)

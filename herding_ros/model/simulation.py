@@ -8,10 +8,11 @@ import numpy as np
 
 from .admissible import project
 from .crowd import Crowd
-from .dynamics import increments, rollout
+from .dynamics import rollout
 from .flock import arrived, spread
+from .noise import increments
 from .parameters import Parameters, quantity, TINY
-from .scenario import initial_herd
+from .scenario import DOG_RADIUS, initial_herd
 from .state import Array, HerdState
 
 
@@ -19,8 +20,8 @@ from .state import Array, HerdState
 class World(Parameters):
     """What the simulated world is like besides the crowd itself."""
 
-    sheep: int = quantity(30, 'number of sheep', low=1)
-    dogs: int = quantity(5, 'number of dogs', low=1)
+    sheep: int = quantity(30, 'number of sheep', low=1, high=1_000_000)
+    dogs: int = quantity(5, 'number of dogs', low=1, high=1000)
     seed: int = quantity(0, 'seed of the initial flock and of all noise', low=0)
     dt: float = quantity(0.01, 'time step', 's', low=TINY)
     substeps: int = quantity(10, 'time steps in a control period', low=1)
@@ -59,12 +60,16 @@ class Simulation:
     """
 
     def __init__(self, crowd: Crowd, world: World, goal: Array) -> None:
-        """Start from the scenario; goal (2,) [m] decides the side the dogs start on."""
+        """Start from the scenario; goal (2,) [m] decides the side the dogs start on.
+
+        Dogs that attract start ahead of the flock.
+        """
         self.crowd = crowd
         self.world = world
         self.goal = goal
         flock = np.random.default_rng(world.seed)
-        self.state = initial_herd(world.sheep, world.dogs, goal, flock)
+        attract = bool(crowd.dog.derivative(np.array([DOG_RADIUS])) > 0.0)
+        self.state = initial_herd(world.sheep, world.dogs, goal, flock, ahead=attract)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
         self.periods = 0
         self.initial_spread = float(spread(single(self.state.x)))
@@ -88,7 +93,8 @@ class Simulation:
         world = self.world
         u = project(u, world.max_speed)
         noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)
-        trajectory = rollout(self.crowd, self.state, u[None], world.dt, world.substeps, noise)
+        t = self.nanoseconds * 1e-9
+        trajectory = rollout(self.crowd, self.state, u[None], world.dt, world.substeps, noise, t)
         self.state = trajectory.at(-1)
         self.dog_velocities = u
         self.periods += 1

@@ -34,7 +34,7 @@ from herding_ros.model.state import Array, HerdState
 from . import messages
 from .background import Work
 from .observations import Observations, Observed
-from .parameters import declare, declare_crowd, HerdingNode, NodeSettings
+from .parameters import declare, declare_crowd, HerdingNode, LIVE_NOISE, NodeSettings
 from .rivals import sole_publisher
 from .running import (
     ADJUSTABLE,
@@ -46,7 +46,7 @@ from .running import (
     UNWATCHED,
 )
 
-LIVE = ('weights.', 'crowd.noise', 'horizon.length', 'horizon.accepted', 'max_speed')
+LIVE = ('weights.', *LIVE_NOISE, 'horizon.length', 'horizon.accepted', 'max_speed')
 """Parameters that may change while the controller runs; they count from the next plan on."""
 
 _PATH_SPACING = 0.5
@@ -63,7 +63,9 @@ class ControllerSettings(NodeSettings):
     """How the controller behaves as a ROS node."""
 
     dogs: int = quantity(5, 'number of dogs', low=1)
-    most_sheep: int = quantity(1000, 'a message with more sheep than this is refused', low=1)
+    most_sheep: int = quantity(
+        100_000, 'a message with more sheep than this is refused', low=1, high=1_000_000
+    )
     seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
     lead: float = quantity(
         2.0, 'time before its window at which a plan is begun, not in lockstep', 's', low=0.0
@@ -334,7 +336,7 @@ class Controller(HerdingNode):
             self._missed += 1
             self.get_logger().warning(
                 f'a plan is late, the old one is played on; raise lead '
-                f'({self._settings.lead:g} s) or lower mapping.paths'
+                f'({self._settings.lead:g} s) or mapping.standard_error, or lower mapping.paths'
             )
         if not coming.done:
             return

@@ -395,6 +395,8 @@ def report_values(report: SolveReport) -> dict[str, object]:
         'optimiser_iterations': report.optimiser_iterations,
         'optimiser_calls': report.optimiser_calls,
         'fine_calls': report.fine_calls,
+        'paths': ' '.join(str(n) for n in report.paths),
+        'standard_error': report.standard_error,
         'extraction_calls': report.extraction_calls,
         'mapping_status': report.mapping_status.value,
         'mapping_iterations': report.mapping_iterations,

@@ -30,6 +30,9 @@ from herding_ros.model.warmup import warm_up
 
 from .refusals import Refusals, Refused
 
+LIVE_NOISE = ('crowd.noise', 'crowd.common_noise', 'crowd.noise_field.')
+"""What of the crowd may change while sim and controller run."""
+
 
 @dataclasses.dataclass(frozen=True)
 class NodeSettings(Parameters):

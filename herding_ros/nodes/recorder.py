@@ -84,10 +84,12 @@ class Recorder(HerdingNode):
             'topics', [''], 'Full names of the topics to record; none, or an empty one: all.'
         )
         self.max_size = self._declare(
-            'max_bag_size', 0, 'Bytes after which the bag goes on in another file; 0: never.'
+            'max_bag_size', 0, 'Size after which the bag goes on in another file; 0: never. [byte]'
         )
         self.max_duration = self._declare(
-            'max_bag_duration', 0, 'Seconds after which the bag goes on in another file; 0: never.'
+            'max_bag_duration',
+            0,
+            'Time after which the bag goes on in another file; 0: never. [s]',
         )
         self._chosen = {topic for topic in topics if topic}
         self._taps: dict[str, Tap] = {}

@@ -26,7 +26,7 @@ from herding_ros.model.state import Array
 
 from . import messages
 from .inbox import Inbox
-from .parameters import declare, declare_crowd, HerdingNode, NodeSettings
+from .parameters import declare, declare_crowd, HerdingNode, LIVE_NOISE, NodeSettings
 from .refusals import Refused
 from .rivals import sole_publisher
 from .running import (
@@ -39,13 +39,16 @@ from .running import (
     UNWATCHED,
 )
 
-LIVE = ('real_time_factor', 'crowd.noise')
+LIVE = ('real_time_factor', *LIVE_NOISE)
 """Parameters that may change while the sim runs."""
 
 CATCH_UP = 1.0
 """In real time a sim that was held up makes up for so much; what is more is skipped [s]."""
 
 _PERIODS_PER_MARKER = 5
+
+_NEWCOMER_PERIOD = 1.0
+"""Time between two looks for controllers that have not heard the state [s]."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,8 @@ class Sim(HerdingNode):
         self._publish_state()
         self.create_timer(0.5, self._publish_diagnostics, clock=self._wall)
         if self._settings.lockstep:
+            self._known, self._last_look = self._commanders(), 0
+            self.create_timer(_NEWCOMER_PERIOD, self._show_newcomers, clock=self._wall)
             self.create_timer(0.0, self._keep_in_step, clock=self._wall)
         else:
             self._keep_pace()
@@ -157,6 +162,21 @@ class Sim(HerdingNode):
             )
             for commands in (inbox.subscription for inbox in self._commands)
         )
+
+    def _commanders(self) -> set[bytes]:
+        return {
+            bytes(info.endpoint_gid)
+            for inbox in self._commands
+            for info in self.get_publishers_info_by_topic(inbox.subscription.topic_name)
+        }
+
+    def _show_newcomers(self) -> None:
+        """Repeat the state for a controller in place of a dead one, until somebody answers."""
+        commanders, periods = self._commanders(), self._simulation.periods
+        if periods != self._last_look:
+            self._known, self._last_look = commanders, periods
+        elif commanders - self._known:
+            self._publish_state()
 
     def _take_commands(self) -> None:
         for m, inbox in enumerate(self._commands, start=1):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -13,6 +14,11 @@ from herding_ros.model.flock import ARRIVAL_DISTANCE, centre, distance, spread, 
 
 # Blue and red of this lightness stay apart with any kind of colour vision, and in grey.
 BLUE, RED, GREY = '#2166ac', '#c2292b', '#5f6368'
+
+_MOST_DOTS = 1000
+"""More sheep than this would be a blob of dots: their density is drawn."""
+_CELLS = 40
+"""Cells of the density across the flock."""
 
 
 def save_trajectories(run: Run, path: str | os.PathLike[str]) -> None:
@@ -38,10 +44,10 @@ def _draw_map(axes: Axes, run: Run) -> None:
         axes.plot(*run.d[:, m].T, color=RED, linewidth=1.0, alpha=0.6)
     axes.plot(*centre(run.x).T, color=BLUE, linewidth=1.8, label='centre of the flock')
     for k, alpha, when in ((0, 0.3, 'start'), (-1, 1.0, 'end')):
-        axes.plot(
-            *run.x[k].T, 'o', color=BLUE, markersize=4.5, markeredgewidth=0, alpha=alpha,
-            label=f'{sheep} sheep, {when}' if sheep > 1 else f'sheep, {when}',
-        )  # fmt: skip
+        draw_flock = _draw_dots if sheep <= _MOST_DOTS else _draw_density
+        draw_flock(
+            axes, run.x[k], alpha, f'{sheep} sheep, {when}' if sheep > 1 else f'sheep, {when}'
+        )
         axes.plot(
             *run.d[k].T, '^', color=RED, markersize=8, markeredgewidth=0, alpha=alpha,
             label=f'{dogs} dogs, {when}' if dogs > 1 else f'dog, {when}',
@@ -56,6 +62,22 @@ def _draw_map(axes: Axes, run: Run) -> None:
     axes.grid(color='0.92')
     axes.set_axisbelow(True)
     axes.legend(fontsize=8, frameon=True, framealpha=0.9, edgecolor='none', loc='best')
+
+
+def _draw_dots(axes: Axes, x: Array, alpha: float, label: str) -> None:
+    axes.plot(
+        *x.T, 'o', color=BLUE, markersize=4.5, markeredgewidth=0, alpha=alpha, label=label
+    )  # fmt: skip
+
+
+def _draw_density(axes: Axes, x: Array, alpha: float, label: str) -> None:
+    """Draw how many sheep there are in each cell: the more, the darker."""
+    shades = [to_rgba(BLUE, 0.15 * alpha), to_rgba(BLUE, alpha)]
+    axes.hexbin(
+        *x.T, gridsize=_CELLS, mincnt=1, linewidths=0, zorder=2,
+        cmap=LinearSegmentedColormap.from_list('density', shades),
+    )  # fmt: skip
+    axes.plot([], [], 'h', color=BLUE, markersize=9, markeredgewidth=0, alpha=alpha, label=label)
 
 
 def _draw_distance(axes: Axes, run: Run) -> None:

@@ -13,7 +13,18 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from . import baselines, dogs, observation, stabilisation, stochasticity, symmetry
+from . import (
+    baselines,
+    common_noise,
+    dogs,
+    evacuation,
+    mean_field,
+    observation,
+    sampling,
+    stabilisation,
+    stochasticity,
+    symmetry,
+)
 from .reproduction import page, single
 from .runner import compute, Outcome
 from .store import Store
@@ -27,6 +38,10 @@ STUDIES: dict[str, Study] = {
     'symmetry': symmetry,
     'baselines': baselines,
     'observation': observation,
+    'evacuation': evacuation,
+    'common_noise': common_noise,
+    'mean_field': mean_field,
+    'sampling': sampling,
 }
 
 _DONE, _FAILED, _BAD_ARGUMENTS, _INTERRUPTED = 0, 1, 2, 130

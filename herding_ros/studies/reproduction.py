@@ -16,6 +16,10 @@ _TITLES = {
     'symmetry': 'Symmetric herds (section 6.3)',
     'baselines': 'Against simpler controllers',
     'observation': 'Noisy observations',
+    'evacuation': 'Evacuation: guides in place of dogs',
+    'common_noise': 'Noise that all sheep have in common (remark in section 2.1)',
+    'mean_field': 'Large flocks: the mean-field limit as coarse model (section 7)',
+    'sampling': 'Cost of an expectation',
 }
 
 

@@ -60,6 +60,7 @@ def run_task(
     stop: bool = True,
     every: float = 1.0,
     snapshots: Sequence[float] | None = None,
+    crowd: str = 'cohesive',
 ) -> Task:
     """Return the task of one run."""
     parameters = {
@@ -74,6 +75,7 @@ def run_task(
         'stop': stop,
         'every': every,
         'snapshots': snapshots,
+        'crowd': crowd,
     }
     return Task('herding', parameters, cost)
 

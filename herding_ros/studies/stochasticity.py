@@ -43,17 +43,22 @@ _PAPER_ITERATIONS = dict(zip(SIGMAS[:3], (0, 1, 3), strict=True))
 _RATIO_GOALS = {0.02: 0.12, 0.03: 0.13, 0.04: 0.27}
 
 _MAPPINGS = {
-    'output': Mapping('output', max_iterations=_ITERATIONS, accuracy=1e-9),
-    'aggressive': Mapping(
-        'aggressive', max_iterations=_ITERATIONS, tolerance=0.0, min_decrease=-1e9
+    'output': replace(PAPER.mapping, method='output', max_iterations=_ITERATIONS, accuracy=1e-9),
+    'aggressive': replace(
+        PAPER.mapping, max_iterations=_ITERATIONS, tolerance=0.0, min_decrease=-1e9
     ),
     'paper': PAPER.mapping,
+    'multilevel': Mapping('output', max_iterations=_ITERATIONS, accuracy=1e-9),
 }
-"""Our mapping and the paper's, four iterations whatever happens; the paper's stopping rule."""
+"""Our mapping and the paper's, four iterations whatever happens; the paper's stopping rule.
+
+All see plain paths as the paper's does, but for the last.
+"""
 _WORDS = {
     'output': 'output mapping, 4 iterations',
     'aggressive': 'aggressive mapping, 4 iterations',
     'paper': "aggressive mapping, the paper's stopping rule",
+    'multilevel': 'output mapping, 4 iterations, multilevel Monte Carlo',
 }
 _VARIANT_SIGMAS = (0.03,)
 
@@ -114,12 +119,12 @@ def tasks(options: Options) -> list[Task]:
                 'control': _settings('paper', paths),
                 'optimiser': optimiser,
                 'observable': observable,
-                'common_noise': common_noise,
+                'common_numbers': common_numbers,
                 'broyden': broyden,
             },
             cost=0.2 if quick else 3.5,
         )
-        for optimiser, observable, common_noise, broyden, sigma, seed in product(
+        for optimiser, observable, common_numbers, broyden, sigma, seed in product(
             ('spg', 'ncg'),
             ('centre',) if quick else ('centre', 'individuals'),
             (True, False),
@@ -278,20 +283,20 @@ def _variants(results: Results, paths: int) -> str:
         for key in ('before', 'judged_before'):
             first.append(str(Mean.of([window[key] for window in windows])))
     rows = [[*first, '']]
-    for optimiser, observable, common_noise, broyden in product(
+    for optimiser, observable, common_numbers, broyden in product(
         ('spg', 'ncg'), ('centre', 'individuals'), (True, False), (True, False)
     ):
         found = variants.of(
             'variant',
             optimiser=optimiser,
             observable=observable,
-            common_noise=common_noise,
+            common_numbers=common_numbers,
             broyden=broyden,
         )
         cells = [
             optimiser.upper(),
             observable,
-            'common' if common_noise else 'new each time',
+            'common' if common_numbers else 'new each time',
             'Broyden' if broyden else 'B = I',
         ]
         for sigma in sigmas:

@@ -6,7 +6,9 @@ import pytest
 
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.objective import Objective
+from herding_ros.control.parameters import Weights
 from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.mean_field import mean_field
 from herding_ros.model.potentials import PowerLaw
 from herding_ros.model.state import Array, HerdState
 
@@ -15,6 +17,7 @@ Problem = tuple[CoarseModel, Objective, Array]
 
 # Centre weight, spread weight: the observables centre and individuals, and others.
 OBSERVABLES = {'centre': (1.0, 0.0), 'individuals': (1.0, 1.0), 'spread': (0.0, 1.0)}
+OTHERS = ('dogs', 'terminal', 'containment', 'radius')
 SIZES = [(1, 1), (2, 5), (5, 2), (8, 1), (9, 3), (16, 4), (17, 5)]
 # The third is of potentials that kernels know by a table.
 WORLDS = {**CROWDS, 'power law': Crowd(sheep=PowerLaw(), dog=PowerLaw(0.01, 2.0, 0.0, 1.0, 0.3))}
@@ -31,14 +34,14 @@ def problem(random_herd: HerdMaker) -> Callable[..., Problem]:
         centre, spread = OBSERVABLES[observable] if observable else rng.uniform(0.1, 5.0, 2)
         shape = (intervals, m, 2)
         coarse = CoarseModel(WORLDS[preset], random_herd(n, m, n + m), dt, substeps)
-        objective = Objective(
+        weights = Weights(
             centre,
             spread,
             10.0 ** rng.uniform(-6.0, -3.0),
-            rng.normal(0.0, 1.0, (intervals * substeps + 1, 2)),
-            rng.normal(0.0, 0.05, shape),
-            0.0 if observable else rng.uniform(0.0, 1.0),
+            **{} if observable else dict(zip(OTHERS, rng.uniform(0.1, 1.0, 4), strict=True)),
         )
+        reference = rng.normal(0.0, 1.0, (intervals * substeps + 1, 2))
+        objective = Objective.weighted(weights, reference, rng.normal(0.0, 0.05, shape))
         return coarse, objective, rng.normal(0.0, 0.05, shape)
 
     return make
@@ -81,6 +84,18 @@ def test_taylor_remainder_is_of_second_order_for_any_herd(
     assert_second_order(problem(preset, n, m, substeps))
 
 
+@pytest.mark.parametrize('observable', OBSERVABLES)
+@pytest.mark.parametrize('substeps', [1, 5])
+def test_taylor_remainder_is_of_second_order_for_the_mean_field_limit(
+    problem: Callable[..., Problem], observable: str, substeps: int
+) -> None:
+    coarse, objective, u = problem('cohesive', 500, 3, substeps, observable)
+    crowd, blobs = mean_field(coarse.crowd, coarse.state, 48)
+    limit = dataclasses.replace(coarse, crowd=crowd, state=blobs)
+    assert limit.rollout(u).n == 48
+    assert_second_order((limit, objective, u))
+
+
 @presets
 @pytest.mark.parametrize('n', range(1, 18))
 def test_every_component_agrees_with_central_differences(
@@ -121,7 +136,7 @@ def test_where_dogs_cannot_matter_only_the_control_counts(
     problem: Callable[..., Problem],
 ) -> None:
     coarse, objective, u = problem('cohesive', 5, 2, 1)
-    objective = dataclasses.replace(objective, dogs_weight=0.0)
+    objective = dataclasses.replace(objective, leash=None)
     far = HerdState(coarse.state.x, coarse.state.v, coarse.state.d + 1e3)
     _, gradient = dataclasses.replace(coarse, state=far).value_and_gradient(objective, u)
     expected = objective.control_weight * (u - objective.control_reference)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from herding_ros.control.closed_loop import closed_loop, Planner, play, Run
+from herding_ros.control.costs.containment import Containment
 from herding_ros.control.parameters import Control, Horizon, Mapping
-from herding_ros.model.crowd import Crowd
+from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.simulation import Simulation, World
 
 GOAL = np.array([0.5, 0.5])
@@ -40,6 +41,45 @@ def test_flock_comes_home(world: World, goal: tuple[float, float], limit: float)
     assert away[0] > 0.4
     assert spread(run) <= 1.5
     assert np.linalg.norm(run.u, axis=-1).max() <= 0.05 * (1.0 + 1e-15)
+
+
+@pytest.mark.parametrize(('guides', 'limit'), [(1, 110.0), (3, 40.0)])
+def test_guides_lead_a_crowd_home_under_the_same_controller(guides: int, limit: float) -> None:
+    """Within the time that the reference takes, and a tenth."""
+    run = closed_loop(CROWDS['guided'], World(dogs=guides), Control(), GOAL, limit)
+    assert run.arrived
+    assert spread(run) <= 1.0
+    assert np.linalg.norm(run.u, axis=-1).max() <= 0.05 * (1.0 + 1e-15)
+
+
+def test_a_cost_that_is_handed_in_counts() -> None:
+    """A disc around the start that is dear to leave: the flock moves less."""
+    world = World(sheep=9)
+    start = Simulation(Crowd(), world, GOAL).state.x.mean(axis=0)
+    moved = []
+    for costs in ((), (Containment(1e4, 0.3, start),)):
+        run = closed_loop(Crowd(), world, Control(), GOAL, 20.0, costs)
+        moved.append(float(np.linalg.norm(run.x[-1].mean(axis=0) - start)))
+    assert moved[0] > 0.2
+    assert moved[1] < 0.5 * moved[0]
+
+
+def test_flock_planned_for_as_its_mean_field_limit_comes_home_as_soon() -> None:
+    world = World(sheep=100, position_noise=0.0, velocity_noise=0.0)
+    limit, particles = (
+        closed_loop(
+            Crowd(),
+            world,
+            Control(coarse=Coarse(markers), mapping=Mapping(max_iterations=0)),
+            GOAL,
+            60.0,
+        )
+        for markers in (32, 100)
+    )
+    assert limit.arrived
+    assert limit.t[-1] < 1.1 * particles.t[-1]
+    assert spread(limit) <= 1.5
+    assert not np.array_equal(limit.u[0], particles.u[0])
 
 
 @pytest.mark.parametrize(('world', 'goal', 'limit'), RUNS)

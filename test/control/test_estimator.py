@@ -14,8 +14,9 @@ from herding_ros.control.estimator import Estimator
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd, CROWDS
-from herding_ros.model.dynamics import increments, rollout
+from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import spread
+from herding_ros.model.noise import increments
 from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
@@ -573,3 +574,37 @@ def test_what_does_not_fit_is_refused(
         given = {'ids': np.arange(3), 'observed': random_herd(3, 2), 'u': np.zeros((2, 2))}
         with pytest.raises(ValueError, match=words):
             estimator(sensor=sensor).update(0.0, **(given | changes))
+
+
+def believed_of(crowd: Crowd, state: HerdState, updates: int = 30) -> HerdState:
+    """What is believed of a herd that stands, by observations that are the same for any crowd."""
+    rng, filter_ = np.random.default_rng(3), estimator(crowd)
+    for k in range(updates):
+        seen = blurred(state, rng)
+        believed = filter_.update(PERIOD * k, np.arange(len(state.x)), seen, np.zeros((1, 2)))
+    return believed
+
+
+def test_the_random_force_is_expected_where_and_when_it_is() -> None:
+    """Calm on the left, wild on the right; the sheep do not feel each other."""
+    x = np.array([[-1.0, 0.0], [1.0, 0.0], [-2.0, 1.0], [2.0, 1.0]])
+    state = HerdState(x, np.zeros((4, 2)), np.array([[9.0, 9.0]]))
+    side = replace(APART, noise=0.02, noise_field=lambda t, x: np.where(x[:, 0] > 0.0, 4.0, 1.0))
+    found = believed_of(side, state)
+    calm, wild = (believed_of(replace(APART, noise=sigma), state) for sigma in (0.02, 0.08))
+    np.testing.assert_allclose(found.v[::2], calm.v[::2], rtol=1e-12)
+    np.testing.assert_allclose(found.v[1::2], wild.v[1::2], rtol=1e-12)
+    assert np.abs(calm.v - wild.v).min() > 1e-4
+    growing = replace(APART, noise=0.02, noise_field=lambda t, x: 1.0 if t < 1.45 else 4.0)
+    changed = believed_of(growing, state)
+    np.testing.assert_allclose(
+        believed_of(growing, state, 15).v, believed_of(replace(APART, noise=0.02), state, 15).v
+    )
+    assert np.abs(changed.v - calm.v).min() > 1e-5
+
+
+def test_what_sheep_have_in_common_does_not_change_what_is_believed_of_one() -> None:
+    state = HerdState(np.array([[-1.0, 0.0], [1.0, 0.0]]), np.zeros((2, 2)), np.ones((1, 2)))
+    one, other = (believed_of(replace(FLOCK, common_noise=share), state) for share in (0.0, 1.0))
+    np.testing.assert_array_equal(one.x, other.x)
+    np.testing.assert_array_equal(one.v, other.v)

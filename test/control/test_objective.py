@@ -4,7 +4,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from herding_ros.control.costs.containment import Containment
+from herding_ros.control.costs.cost import Cost
+from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
+from herding_ros.control.parameters import Weights
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.state import Array, HerdState, Trajectory
@@ -13,8 +17,13 @@ HerdMaker = Callable[..., HerdState]
 
 DT, SUBSTEPS, INTERVALS, DOGS = 0.1, 4, 5, 2
 STEPS = INTERVALS * SUBSTEPS
-# of centre, spread, control and dogs
-WEIGHTS = [(1, 1, 1e-2, 0), (3, 1, 1e-2, 3e-3), (1, 0, 0.3, 0), (0, 2, 1e-9, 0.7)]
+# of centre, spread, control, dogs and terminal
+WEIGHTS = [
+    Weights(1.0, 1.0, 1e-2, 0.0),
+    Weights(3.0, 1.0, 1e-2, 3e-3),
+    Weights(1.0, 0.0, 0.3, 0.0, terminal=5.0),
+    Weights(0.0, 2.0, 1e-9, 0.7, terminal=0.3),
+]
 weights = pytest.mark.parametrize('weights', WEIGHTS)
 sheep = pytest.mark.parametrize('n', [1, 8, 11])
 
@@ -28,12 +37,12 @@ def played(random_herd: HerdMaker) -> Callable[[int], tuple[Trajectory, Array]]:
     return play
 
 
-def random_objective(weights: tuple[float, float, float, float]) -> Objective:
-    rng = np.random.default_rng(9)
-    reference = rng.normal(0.0, 1.0, (STEPS + 1, 2))
-    return Objective(
-        *weights[:3], reference, rng.normal(0.0, 0.05, (INTERVALS, DOGS, 2)), weights[3]
-    )
+REFERENCE = np.random.default_rng(9).normal(0.0, 1.0, (STEPS + 1, 2))
+CONTROL_REFERENCE = np.random.default_rng(10).normal(0.0, 0.05, (INTERVALS, DOGS, 2))
+
+
+def random_objective(weights: Weights, *further: Cost) -> Objective:
+    return Objective.weighted(weights, REFERENCE, CONTROL_REFERENCE, further)
 
 
 @weights
@@ -41,38 +50,50 @@ def random_objective(weights: tuple[float, float, float, float]) -> Objective:
 def test_cost_is_the_sum_it_says(
     played: Callable[[int], tuple[Trajectory, Array]],
     n: int,
-    weights: tuple[float, float, float, float],
+    weights: Weights,
 ) -> None:
     trajectory, u = played(n)
     objective = random_objective(weights)
-    a, b, gamma, c = weights
+    a, b, gamma, c = weights.centre, weights.spread, weights.control, weights.dogs
     expected = 0.0
     for k in range(1, STEPS + 1):
         centre = sum(trajectory.x[k]) / n
-        expected += DT * a / 2 * sum((centre - objective.reference[k]) ** 2)
+        time = DT + (weights.terminal if k == STEPS else 0.0)
+        expected += time * a / 2 * sum((centre - REFERENCE[k]) ** 2)
         for each in trajectory.x[k]:
-            expected += DT * b / (2 * n) * sum((each - centre) ** 2)
+            expected += time * b / (2 * n) * sum((each - centre) ** 2)
         for each in trajectory.d[k]:
-            expected += DT * c / 2 * sum((each - objective.reference[k]) ** 2)
+            expected += DT * c / 2 * sum((each - REFERENCE[k]) ** 2)
     for k in range(INTERVALS):
         for m in range(DOGS):
-            change = u[k, m] - objective.control_reference[k, m]
+            change = u[k, m] - CONTROL_REFERENCE[k, m]
             expected += DT * SUBSTEPS * gamma / 2 * sum(change**2)
     found, *_ = objective.value_and_derivatives(trajectory, u, DT * SUBSTEPS)
     assert found == pytest.approx(expected, rel=1e-13)
 
 
-@sheep
-def test_equal_weights_are_the_cost_of_the_paper(
-    played: Callable[[int], tuple[Trajectory, Array]], n: int
-) -> None:
-    trajectory, u = played(n)
-    objective = random_objective((1, 1, 1e-2, 0))
-    individuals = np.square(trajectory.x - objective.reference[:, None])[1:].sum() / n
-    change = np.square(u - objective.control_reference).sum()
-    expected = 0.5 * DT * individuals + 0.5 * 1e-2 * DT * SUBSTEPS * change
-    found, *_ = objective.value_and_derivatives(trajectory, u, DT * SUBSTEPS)
-    assert found == pytest.approx(expected, rel=1e-13)
+def test_costs_add_up(played: Callable[[int], tuple[Trajectory, Array]]) -> None:
+    """Those that the weights ask for, and further ones."""
+    trajectory, u = played(11)
+    contained = Containment(2.0, 0.5, REFERENCE)
+    weights = dataclasses.replace(WEIGHTS[1], containment=2.0, radius=0.5)
+    plain, by_weight, further = (
+        random_objective(*each).value_and_derivatives(trajectory, u, DT * SUBSTEPS)
+        for each in ((WEIGHTS[1],), (weights,), (WEIGHTS[1], contained))
+    )
+    value, derivative = contained.value_and_derivative(trajectory)
+    assert value > 0.1
+    for found in (by_weight, further):
+        assert found[0] == pytest.approx(plain[0] + value, rel=1e-13)
+        np.testing.assert_allclose(found[1], plain[1] + derivative, rtol=0, atol=1e-14)
+        np.testing.assert_array_equal(found[2], plain[2])
+
+
+def test_weights_of_zero_leave_nothing_to_compute() -> None:
+    weights = Weights(dogs=0.0)
+    objective = random_objective(weights)
+    assert [type(cost) for cost in objective.costs] == [Tracking]
+    assert objective.leash is None
 
 
 @weights
@@ -80,7 +101,7 @@ def test_equal_weights_are_the_cost_of_the_paper(
 def test_source_is_the_derivative_of_the_cost(
     played: Callable[[int], tuple[Trajectory, Array]],
     n: int,
-    weights: tuple[float, float, float, float],
+    weights: Weights,
 ) -> None:
     trajectory, u = played(n)
     objective = random_objective(weights)
@@ -104,7 +125,7 @@ def test_source_is_the_derivative_of_the_cost(
 @weights
 def test_direct_gradient_is_the_derivative_by_controls_with_the_sheep_held_still(
     played: Callable[[int], tuple[Trajectory, Array]],
-    weights: tuple[float, float, float, float],
+    weights: Weights,
 ) -> None:
     trajectory, u = played(3)
     objective = random_objective(weights)
@@ -127,7 +148,7 @@ def test_unused_lanes_cost_nothing(
     played: Callable[[int], tuple[Trajectory, Array]],
 ) -> None:
     trajectory, u = played(11)
-    objective = random_objective((1, 1, 1e-2, 0))
+    objective = random_objective(WEIGHTS[0])
     expected = objective.value_and_derivatives(trajectory, u, DT * SUBSTEPS)[0]
     trajectory.xs[:, :, 11:] = 1e3
     assert objective.value_and_derivatives(trajectory, u, DT * SUBSTEPS)[0] == expected

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.ncg import ncg
 from herding_ros.control.objective import Objective
 from herding_ros.control.solution import Solution, Status
@@ -180,7 +181,7 @@ def herding(request: pytest.FixtureRequest) -> tuple[CoarseModel, Objective, flo
     centre = state.x.mean(axis=0)
     reference = centre + np.linspace(0.0, 1.0, 101)[:, None] * (goal - centre)
     shape = (10, 2, 2)
-    objective = Objective(1.0, 1.0, 1e-2, reference, np.zeros(shape))
+    objective = Objective([Tracking(1.0, 1.0, reference)], 1e-2, np.zeros(shape))
 
     def scaled(z: Array) -> tuple[float, Array]:
         value, gradient = coarse.value_and_gradient(objective, limit * z.reshape(shape))

@@ -10,8 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from herding_ros.model.crowd import Crowd, CROWDS
-from herding_ros.model.dynamics import forces, increments, rollout
+from herding_ros.model.dynamics import forces, rollout
 from herding_ros.model.kernels import lanes
+from herding_ros.model.noise import increments
 from herding_ros.model.potentials import Morse
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState

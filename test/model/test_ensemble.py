@@ -6,8 +6,9 @@ import pytest
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.kernels import lanes, PATHS
+from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.state import Array, HerdState
 
 HerdMaker = Callable[..., HerdState]

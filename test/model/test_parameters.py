@@ -4,6 +4,7 @@ import math
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 
 from herding_ros.model.crowd import Crowd, CROWDS
@@ -105,6 +106,15 @@ def test_presets_are_the_paper_with_and_without_the_lengths_swapped() -> None:
     assert cohesive.dog == Morse(1e-2, 0.5, 5e-4, 2.0)
     assert cohesive == Crowd()
     assert {crowd.friction for crowd in CROWDS.values()} == {0.5}
+
+
+def test_guides_attract_without_a_jerk() -> None:
+    """The force vanishes at the guide, and its Hessian is bounded there; it pulls elsewhere."""
+    guide = CROWDS['guided'].dog
+    near, everywhere = np.array([1e-6, 1e-4]), np.geomspace(1e-3, 10.0, 200)
+    assert (guide.derivative(everywhere) > 0.0).all()
+    np.testing.assert_allclose(guide.derivative(near) / near, 0.18, rtol=1e-3)
+    np.testing.assert_allclose(guide.second_derivative(near), 0.18, rtol=1e-2)
 
 
 def test_coefficients_are_those_of_the_derivative() -> None:

@@ -16,6 +16,15 @@ def test_dogs_stand_behind_the_flock(goal: tuple[float, float], dogs: int) -> No
     np.testing.assert_allclose(angles, expected, rtol=0, atol=1e-14)
 
 
+def test_dogs_ahead_stand_opposite() -> None:
+    behind, ahead = (
+        initial_herd(30, 3, np.array([1.0, -2.0]), np.random.default_rng(0), each)
+        for each in (False, True)
+    )
+    np.testing.assert_array_equal(ahead.x, behind.x)
+    np.testing.assert_allclose(ahead.d, -behind.d, rtol=0, atol=1e-15)
+
+
 def test_sheep_rest_all_over_the_pasture() -> None:
     herd = initial_herd(4000, 1, np.ones(2), np.random.default_rng(0))
     assert not herd.v.any()

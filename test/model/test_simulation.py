@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from herding_ros.model.crowd import Crowd
+from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
@@ -105,3 +105,11 @@ def test_flock_that_starts_at_the_goal_has_arrived() -> None:
     here = initial_herd(9, 2, GOAL, np.random.default_rng(3)).x.mean(axis=0)
     assert Simulation(Crowd(), WORLD, here).arrived
     assert not Simulation(Crowd(), WORLD, here + np.array([0.06, 0.0])).arrived
+
+
+@pytest.mark.parametrize(('preset', 'ahead'), [('cohesive', False), ('guided', True)])
+def test_dogs_that_attract_start_ahead_of_the_flock(preset: str, ahead: bool) -> None:
+    found = Simulation(CROWDS[preset], WORLD, GOAL).state
+    expected = initial_herd(9, 2, GOAL, np.random.default_rng(3), ahead)
+    np.testing.assert_array_equal(found.d, expected.d)
+    assert (found.d @ GOAL > 0.0).all() == ahead

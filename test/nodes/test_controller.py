@@ -22,6 +22,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from herding_ros.control.parameters import Control, Horizon, Mapping, Weights
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.state import HerdState
 from herding_ros.nodes import messages
 
@@ -209,7 +210,7 @@ def test_solving_does_not_hold_up_the_commands(
     """While a long solve runs in the background, commands of the old plan keep coming."""
     start(
         'controller', dogs=2, lead=4.0, mapping__paths=4000, mapping__accuracy=1e-9,
-        mapping__max_iterations=12,
+        mapping__max_iterations=12, mapping__standard_error=0.0,
     )  # fmt: skip
     pasture = Pasture(peer, herd)
     goals = peer.talk_to(PoseStamped, 'goal_pose')
@@ -348,6 +349,7 @@ def test_live_parameters_count_from_the_next_plan_on(
     changes = {
         'weights.centre': 5.0, 'weights.control': 0.02, 'crowd.noise': 0.03, 'max_speed': 0.04,
         'horizon.length': 3.0, 'horizon.accepted': 1.5,
+        'crowd.common_noise': 0.5, 'crowd.noise_field.gust': 0.6,
     }  # fmt: skip
     values = [Parameter(name, value=value).to_parameter_msg() for name, value in changes.items()]
     request = SetParametersAtomically.Request(parameters=values)
@@ -357,7 +359,7 @@ def test_live_parameters_count_from_the_next_plan_on(
         pasture.show(ns)
         pasture.answered(count)
     planner.adjust(
-        Crowd(noise=0.03),
+        Crowd(noise=0.03, common_noise=0.5, noise_field=NoiseField(gust=0.6)),
         Control(
             max_speed=0.04,
             weights=Weights(centre=5.0, control=0.02),
@@ -382,7 +384,7 @@ def test_signal_while_solving_ends_at_once(
 ) -> None:
     process = start(
         'controller', dogs=2, lockstep=lockstep, lead=1000.0, mapping__paths=1000,
-        mapping__accuracy=1e-9, mapping__max_iterations=1000,
+        mapping__accuracy=1e-9, mapping__max_iterations=1000, mapping__standard_error=0.0,
     )  # fmt: skip
     pasture = Pasture(peer, herd)
     process.wait_for('ready')

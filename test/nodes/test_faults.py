@@ -79,6 +79,26 @@ class Meadow:
         self.peer.spin_until(condition, limit)
 
 
+def test_killed_controller_in_lockstep_is_replaced_by_a_new_one(
+    start: Callable[..., Any], peer: Any
+) -> None:
+    limit = 60.0  # lockstep is a hundred times faster than time
+    meadow = Meadow(peer, dogs=2)
+    start('sim', lockstep=True, sheep=5, dogs=2, time_limit=limit)
+    mine = {'lockstep': True, 'dogs': 2, 'mapping__paths': 10}
+    first = start('controller', **mine)
+    meadow.run_until(lambda: meadow.now() > 1.0)
+    first.process.kill()
+    first.process.wait()
+    peer.spin_for(0.5)
+    stood = meadow.now()
+    peer.spin_for(0.5)
+    assert meadow.now() == stood < limit
+    start('controller', **mine)
+    meadow.run_until(lambda: meadow.said('sim: herd').get('finished') == 'True')
+    assert float(meadow.said('sim: herd')['time_s']) == limit
+
+
 def last_run(odometry: list[Odometry]) -> float:
     """Time of the last message in which the dog moves [s]."""
     velocities = [(message, message.twist.twist.linear) for message in odometry]
@@ -229,8 +249,10 @@ class Commands:
         return [(t, np.array([each[t] for each in told])) for t in times]
 
     def planned(self, t: float, plans: list[Any]) -> np.ndarray:
-        """What the newest of the plans that have begun says for t; zero after its end."""
-        plan = max((p for p in plans if seconds(p) <= t + 1e-6), key=seconds)
+        """What the newest of the plans that have begun says for t; zero before and after."""
+        plan = max((p for p in plans if seconds(p) <= t + 1e-6), key=seconds, default=None)
+        if plan is None:
+            return np.zeros((DOGS, 2))
         k = math.floor((t - seconds(plan) + 1e-6) / 0.1)
         if k >= len(plan.points):
             return np.zeros((DOGS, 2))

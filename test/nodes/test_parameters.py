@@ -25,8 +25,9 @@ import rclpy
 from rclpy.parameter import Parameter, parameter_value_to_python
 from sensor_msgs.msg import PointCloud2
 
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import Control, Weights
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import controller, messages, sim
@@ -52,11 +53,13 @@ FIELDS: dict[str, dict[str, Field]] = {
     'controller': {**CROWD, **dict(fields(Control())), **dict(fields(ControllerSettings()))},
     'recorder': {},
 }
+NOISE = {name for name in CROWD if name.startswith(('crowd.noise', 'crowd.common_noise'))}
 LIVE = {
-    'sim': {'real_time_factor', 'crowd.noise'},
+    'sim': {'real_time_factor', *NOISE},
     'controller': {
-        *(f'weights.{name}' for name in ('centre', 'spread', 'control', 'dogs')),
-        *('crowd.noise', 'horizon.length', 'horizon.accepted', 'max_speed'),
+        *(f'weights.{field.name}' for field in dataclasses.fields(Weights)),
+        *NOISE,
+        *('horizon.length', 'horizon.accepted', 'max_speed'),
     },
     'recorder': set(),
 }
@@ -275,6 +278,19 @@ def test_noise_of_the_sim_changes_from_the_next_step_on(
         if k == 2:
             assert node.refusal('crowd.noise', 0.2) == ''
             expected.crowd = dataclasses.replace(expected.crowd, noise=0.2)
+        if k == 3:
+            changes = {
+                'common_noise': 0.5,
+                'noise_field__gust': 0.8,
+                'noise_field__slope': [1.0, 0.0],
+            }
+            assert (
+                node.refusal_of_all(**{f'crowd__{n}': value for n, value in changes.items()}) == ''
+            )
+            field = NoiseField(gust=0.8, slope=(1.0, 0.0))
+            expected.crowd = dataclasses.replace(
+                expected.crowd, common_noise=0.5, noise_field=field
+            )
         command = TwistStamped()
         command.header.stamp = messages.stamp_of(k * 100_000_000)
         command.header.frame_id = messages.dog_frame(1)

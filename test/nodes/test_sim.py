@@ -337,6 +337,8 @@ def test_sensors_are_as_noisy_as_told(start: Callable[..., Any], peer: Any) -> N
     [
         ({'sheep': 0}, 'sheep'),
         ({'crowd__noise': -1.0}, 'crowd.noise'),
+        ({'crowd__common_noise': 1.5}, 'crowd.common_noise'),
+        ({'crowd__noise_field__period': 0.0}, 'crowd.noise_field.period'),
         ({'dt': 'nan'}, 'dt'),
         ({'crowd__preset': 'lions'}, 'cohesive or printed'),
         ({'goal': '[1.0]'}, '2 numbers'),

@@ -11,12 +11,14 @@ import subprocess
 import sys
 from typing import Any
 
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 import numpy as np
 import pytest
 from rich.console import Console
 
 from herding_ros.bag.run import Replan, Run, Topic
+from herding_ros.report import figures
 from herding_ros.report.cli import main, write_report
 from herding_ros.report.figures import save_trajectories
 from herding_ros.report.summary import summarise
@@ -59,6 +61,18 @@ def run() -> Run:
         wall_s=0.25,
         topics=(Topic('/a', 'a_msgs/msg/A', 3, 1.0), Topic('/b', 'a_msgs/msg/B', 4, 2.0)),
     )
+
+
+@pytest.mark.parametrize(('sheep', 'cells'), [(1000, []), (1001, [1001, 1001])])
+def test_many_sheep_are_drawn_as_a_density(run: Run, sheep: int, cells: list[int]) -> None:
+    x = np.random.default_rng(0).normal(0.0, 0.3, (5, sheep, 2))
+    axes = Figure().add_subplot()
+    figures._draw_map(axes, replace(run, x=x))
+    assert [each.get_array().sum() for each in axes.collections] == cells  # everyone counts
+    dots = [line for line in axes.lines if line.get_marker() == 'o']
+    assert [len(line.get_xdata()) for line in dots] == ([] if cells else [sheep, sheep])
+    words = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert f'{sheep} sheep, start' in words
 
 
 def test_summary_of_an_arrival(run: Run) -> None:

@@ -1,8 +1,9 @@
 """Potentials of two: one file each."""
 
+from .mollified import Mollified
 from .morse import Morse
 from .potential import Potential
 from .power_law import PowerLaw
 from .tabulated import Tabulated
 
-__all__ = ['Morse', 'Potential', 'PowerLaw', 'Tabulated']
+__all__ = ['Mollified', 'Morse', 'Potential', 'PowerLaw', 'Tabulated']

@@ -11,8 +11,8 @@ from herding_ros.model import kernels
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.state import Array
 
-_NEAREST, _FARTHEST = 1e-6, 1e3
-"""Distances between which a table knows a potential [m]; P'/r is constant outside."""
+_FARTHEST = 1e3
+"""Up to this distance a table knows a potential [m]; P'/r is constant beyond."""
 
 
 class Potential(Parameters):
@@ -35,6 +35,11 @@ class Potential(Parameters):
     def second_derivative(self, r: Array) -> Array:
         """P''(r) [1/s^2]."""
 
+    @property
+    def nearest(self) -> float:
+        """Distance [m] within which a table takes P'/r for constant."""
+        return 1e-6
+
     def kernel_form(self) -> kernels.PotentialForm:
         """Return what the kernels work with: a table, unless a potential knows better.
 
@@ -54,7 +59,7 @@ def _table(potential: Potential) -> kernels.Table:
     Nodes stand closer where r is small, at a fixed relative distance: 128 from one power of
     two to the next. The error falls with its fourth power: 1e-9 relative for P' like r**-1.
     """
-    nodes = kernels.table_nodes(_NEAREST**2, _FARTHEST**2)
+    nodes = kernels.table_nodes(potential.nearest**2, _FARTHEST**2)
     r = np.sqrt(nodes)
     a = potential.derivative(r) / r
     slope = (potential.second_derivative(r) - a) / (2.0 * nodes)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from herding_ros.model.state import Array, finite
 
@@ -38,7 +38,10 @@ class Tabulated(Potential):
         object.__setattr__(self, 'values', tuple(values.tolist()))
 
     @cached_property
-    def _spline(self) -> CubicSpline:
+    def _spline(self) -> Any:
+        # Imported where it is needed: nodes would start later by a tenth of a second.
+        from scipy.interpolate import CubicSpline
+
         return CubicSpline(self.distances, self.values, bc_type=('not-a-knot', (1, 0.0)))
 
     def value(self, r: Array) -> Array:

@@ -12,8 +12,9 @@ from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
 from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions, noise_paths, NoisePaths
+from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
+from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array, HerdState
 
@@ -34,11 +35,12 @@ class Case:
     sigma: float
     seed: int
     control: Control
+    common_noise: float = 0.0
 
     @cached_property
     def crowd(self) -> Crowd:
         """The sheep."""
-        return Crowd(noise=self.sigma)
+        return Crowd(noise=self.sigma, common_noise=self.common_noise)
 
     @cached_property
     def state(self) -> HerdState:
@@ -90,17 +92,22 @@ class Case:
         mean = expected_positions(self.crowd, self.state, u, coarse.dt, coarse.substeps, noise)
         return centre(mean)
 
-    def judge(self, u: Array, paths: int) -> tuple[Array, float]:
+    def judge(self, u: Array, paths: int, mirrored: bool = False) -> tuple[Array, float]:
         """Return expected centres (K+1, 2) [m] under u on noise that no method has seen.
 
         And how far they are from the true expectation, which many more paths would give: an
-        estimate in the norm of `error`, from groups of 100 paths.
+        estimate in the norm of `error`, from groups of 100 paths. When mirrored, each path is
+        taken a second time with its noise reversed, and what is linear in the noise cancels.
         """
         rng = np.random.default_rng([self.seed, 20_000])
-        groups = [
-            self.expected_centre(u, self.draw(rng, min(_AT_ONCE, paths)))
-            for _ in range(max(paths // _AT_ONCE, 2))
-        ]
+        groups = []
+        for _ in range(max(paths // _AT_ONCE, 2)):
+            noise = self.draw(rng, min(_AT_ONCE, paths))
+            centres = self.expected_centre(u, noise)
+            if mirrored:
+                reverse = self.expected_centre(u, NoisePaths(noise.paths, -noise.blocks))
+                centres = 0.5 * (centres + reverse)
+            groups.append(centres)
         variance = np.var(groups, axis=0, ddof=1) / len(groups)
         return np.mean(groups, axis=0), float(np.sqrt(self.coarse.dt * variance.sum()))
 

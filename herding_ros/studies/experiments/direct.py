@@ -12,8 +12,8 @@ from herding_ros.control.parameters import Control
 from herding_ros.control.spg import spg
 from herding_ros.model import kernels
 from herding_ros.model.dynamics import physics, rollout
-from herding_ros.model.ensemble import NoisePaths
 from herding_ros.model.flock import centre
+from herding_ros.model.noise import NoisePaths
 from herding_ros.model.state import Array
 
 from .case import Case

@@ -12,7 +12,7 @@ import numpy as np
 from herding_ros.control.closed_loop import Planner, play, Policy, Run
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import SolveReport
-from herding_ros.model.crowd import Crowd
+from herding_ros.model.crowd import CROWDS
 from herding_ros.model.flock import centre, distance, spread
 from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
@@ -51,27 +51,31 @@ def run(
     every: float,
     settings: dict[str, Any],
     snapshots: list[float] | None = None,
+    crowd: str = 'cohesive',
+    common_noise: float = 0.0,
 ) -> dict[str, Any]:
     """Herd a flock by a policy and return the run in numbers.
 
     policy: 'planner' (settings: what differs from Control()), 'strombom' (settings: those of
     Strombom) or 'none', a dog that no sheep notices. every: spacing of the stored paths [s];
-    snapshots: instants at which everybody's place is kept [s].
+    snapshots: instants at which everybody's place is kept [s]; crowd: name of a preset;
+    common_noise: as in Crowd.
     """
-    crowd, destination = Crowd(noise=sigma), np.array(goal)
+    herd = replace(CROWDS[crowd], noise=sigma, common_noise=common_noise)
+    destination = np.array(goal)
     world = World(sheep=sheep, dogs=dogs, seed=seed)
     decide: Policy
     if policy == 'planner':
-        decide = Planner(crowd, changed(Control(), settings), destination, seed)
+        decide = Planner(herd, changed(Control(), settings), destination, seed)
     elif policy == 'strombom':
         decide = Strombom(destination, np.random.default_rng([seed, 30_000]), **settings)
     elif policy == 'none':
-        crowd = replace(crowd, dog=Morse(0.0, 1.0, 0.0, 1.0))
+        herd = replace(herd, dog=Morse(0.0, 1.0, 0.0, 1.0))
         decide = _stand
     else:
         raise ValueError(f'policy is {policy!r}, allowed is planner, strombom or none')
     timed = _Stopwatch(decide)
-    track = play(Simulation(crowd, world, destination), timed, time_limit, stop)
+    track = play(Simulation(herd, world, destination), timed, time_limit, stop)
     result = measures(track, destination, world.control_period)
     result['policy_cpu'] = timed.seconds
     if isinstance(decide, Planner):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import OPTIMISERS
@@ -36,7 +37,8 @@ def extraction(case: Case, optimiser: str, observable: str) -> Callable[[Array, 
 
     def extract(target: Array, start: Array) -> Solution:
         anchor = case.deterministic.plan.u
-        objective = Objective(*weights, case.control.weights.control, target, anchor)
+        gamma = case.control.weights.control
+        objective = Objective([Tracking(*weights, target)], gamma, anchor)
         return OPTIMISERS[optimiser](
             partial(case.coarse.value_and_gradient, objective),
             case.admissible,
@@ -60,20 +62,20 @@ def run(
     control: dict[str, Any],
     optimiser: str,
     observable: str,
-    common_noise: bool,
+    common_numbers: bool,
     broyden: bool,
 ) -> dict[str, Any]:
     """Map one window by Algorithm 1 with some of its parts exchanged.
 
     optimiser: 'spg' or 'ncg', for parameter extraction; observable: 'centre' or 'individuals';
-    common_noise: the same paths in each evaluation of the fine model, or new ones; broyden: the
+    common_numbers: the same paths in each evaluation of the fine model, or new ones; broyden: the
     quasi-Newton update, or B = I throughout. before and after are what the method believes, on
     the noise it saw; judged is the truth about the control it chose.
     """
     case = Case(sheep, dogs, sigma, seed, changed(Control(), control))
     model, u_coarse = case.coarse, case.deterministic.plan.u
     rng = np.random.default_rng(case.seen)
-    common = case.draw(rng, paths) if common_noise else None
+    common = case.draw(rng, paths) if common_numbers else None
     calls = 0
 
     def fine(u: Array) -> Array:

@@ -1,0 +1,1 @@
+"""Costs of where the sheep are: the terms of the objective."""

@@ -1,0 +1,45 @@
+"""The flock shall be where the reference is, and together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from herding_ros.model import kernels
+from herding_ros.model.state import Array, Trajectory
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Distance of the flock's centre from the reference, and of the sheep from their centre.
+
+    C = int a/2 |xc - Z|^2 + b/(2N) sum_i |x_i - xc|^2 dt
+
+    with xc the centre of mass, a = centre_weight, b = spread_weight and Z = reference (K+1, 2)
+    [m]. Since 1/N sum |x_i - Z|^2 = |xc - Z|^2 + 1/N sum |x_i - xc|^2, the paper's cost is
+    a = b = 1.
+    """
+
+    centre_weight: float
+    spread_weight: float
+    reference: Array
+
+    def value_and_derivative(self, trajectory: Trajectory) -> tuple[float, Array]:
+        """Return C and its derivative by xs."""
+        derivative = np.empty_like(trajectory.xs)
+        value = kernels.tracking_cost(
+            trajectory.xs,
+            self.reference,
+            trajectory.n,
+            self.centre_weight,
+            self.spread_weight,
+            trajectory.dt,
+            derivative,
+        )
+        return value, derivative
+
+    def second_derivative(self, trajectory: Trajectory, dx: Array) -> Array:
+        """Return the Hessian times dx: C is quadratic, so its derivative at dx without Z."""
+        homogeneous = replace(self, reference=np.zeros_like(self.reference))
+        return homogeneous.value_and_derivative(replace(trajectory, xs=dx))[1]

@@ -1,0 +1,79 @@
+"""What an expected centre costs, by every estimator that we know."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from herding_ros.control.parameters import PAPER
+from herding_ros.model.expectation import ExpectedCentre, Noise
+from herding_ros.model.sampling import (
+    alone,
+    Estimator,
+    ESTIMATORS,
+    FineModel,
+    free,
+    linear,
+    Resolution,
+)
+from herding_ros.model.warmup import warm_up
+
+from .case import Case
+
+
+def _with_halves(fine: FineModel) -> tuple[Resolution, ...]:
+    return alone(fine), Resolution(-(-fine.sheep // 2)), Resolution()
+
+
+COMPARED = {
+    'plain': ESTIMATORS['plain'],
+    'antithetic': Estimator(antithetic=True),
+    'free': Estimator(variate=free),
+    'linear': Estimator(variate=linear),
+    'two steps': Estimator(lambda _: (Resolution(longer=2), Resolution()), free),
+    'three steps': Estimator(
+        lambda _: (Resolution(longer=4), Resolution(longer=2), Resolution()), free
+    ),
+    'halves': Estimator(_with_halves, free),
+    'multilevel': ESTIMATORS['multilevel'],
+    'multilevel antithetic': Estimator(ESTIMATORS['multilevel'].chain, free, antithetic=True),
+}
+_UNLIMITED = 10**6
+
+
+def run(sheep: int, dogs: int, sigma: float, seed: int, standard_error: float) -> dict[str, Any]:
+    """Estimate the expected centre under the plan without noise, to a standard error [m].
+
+    For each estimator: first and again, the CPU time [s] of the first evaluation, which draws
+    the noise and settles the paths, and of the second; work in paths of the fine model; off:
+    root mean square distance from the plain estimate over the window [m], which has other noise.
+    """
+    warm_up()
+    case = Case(sheep, dogs, sigma, seed, PAPER)
+    u = case.deterministic.plan.u
+    horizon = case.control.horizon
+    steps = horizon.intervals * horizon.substeps
+    fine = FineModel(case.crowd, case.state, horizon.dt, steps, horizon.substeps)
+    found: dict[str, Any] = {}
+    plain = None
+    for number, (name, estimator) in enumerate(COMPARED.items()):
+        noise = Noise(fine, estimator, 1000 * (1 + case.seen) + number)
+        # One thread: CPU time does not depend on how well threads share a core.
+        expected = ExpectedCentre(fine, estimator, noise, standard_error, _UNLIMITED, threads=1)
+        started = time.process_time()
+        each = expected(u)
+        drawn = time.process_time()
+        expected(u)
+        ended = time.process_time()
+        plain = each if plain is None else plain
+        found[name] = {
+            'standard_error': each.standard_error,
+            'paths': list(each.paths),
+            'work': each.work,
+            'first': drawn - started,
+            'again': ended - drawn,
+            'off': float(np.sqrt(np.square(each.centre - plain.centre).sum() / steps)),
+        }
+    return found
