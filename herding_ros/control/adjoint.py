@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from herding_ros.model import kernels
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.dynamics import physics, rollout
+from herding_ros.model.dynamics import physics, reverse_sweep, rollout
 from herding_ros.model.state import Array, HerdState, Trajectory
 
 from .objective import Objective
@@ -51,9 +51,7 @@ class CoarseModel:
         """
         trajectory = self.rollout(u)
         value, source, direct = objective.value_and_derivatives(trajectory, u, self.interval)
-        gradient = np.zeros_like(u)
-        constants = physics(self.crowd, trajectory.n, self.dt)
-        kernels.adjoint(trajectory.xs, trajectory.ds, source, self.substeps, constants, gradient)
+        gradient = reverse_sweep(self.crowd, trajectory, source, self.substeps)
         return value, gradient / self.interval + direct
 
     def centre_sensitivity(self, u: Array, every: int) -> CentreSensitivity:

@@ -14,9 +14,12 @@ it the fine one; there is no other difference.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+import os
+
 import numpy as np
 
-from . import kernels
+from . import fast_forces, kernels
 from .crowd import Crowd
 from .noise import factor, is_uniform
 from .state import Array, finite, HerdState, Trajectory
@@ -37,14 +40,29 @@ def to_lanes(points: Array) -> Array:
     return out
 
 
-def forces(crowd: Crowd, x: Array, d: Array) -> Array:
-    """Interaction forces (N, 2) [m/s^2] on sheep at x (N, 2) [m] from each other and dogs d."""
-    lanes = to_lanes(x)
-    out = np.empty_like(lanes)
-    ring = np.zeros((2, 2, 2 * lanes.shape[1]))
-    constants = physics(crowd, len(x), 1.0)
-    kernels.acceleration(lanes, np.ascontiguousarray(d.T), constants, ring, out)
-    return out[:, : len(x)].T
+def forces(crowd: Crowd, x: Array, d: Array, accuracy: float = fast_forces.ACCURACY) -> Array:
+    """Interaction forces (N, 2) [m/s^2] on sheep at x (N, 2) [m] from each other and dogs d.
+
+    With many sheep the error is up to `accuracy`, relative in the Euclidean norm over all.
+    """
+    n, lanes = len(x), to_lanes(x)
+    dogs, constants = np.ascontiguousarray(d.T), physics(crowd, n, 1.0)
+    if n < fast_forces.CROSSOVER:
+        out = np.empty_like(lanes)
+        kernels.acceleration(lanes, dogs, constants, np.zeros((2, 2, 2 * lanes.shape[1])), out)
+    else:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            sums = fast_forces.plan(crowd.sheep, lanes, n, accuracy, pool.map)
+            out = _acceleration(sums, lanes, dogs, constants)
+    return out[:, :n].T
+
+
+def _acceleration(sums: fast_forces.Sums, x: Array, d: Array, constants: kernels.Physics) -> Array:
+    """Do what `kernels.acceleration` does, with forces of sheep from `sums`."""
+    out = -sums.gradients(x)
+    kernels.subtract_pulls(*out, *x, d, constants.dog)
+    out[:, constants.n :] = 0.0
+    return out
 
 
 def check_control(u: Array, dogs: int) -> Array:
@@ -81,12 +99,52 @@ def rollout(
     ds = np.empty((steps + 1, 2, m))
     xs[0], vs[0], ds[0] = to_lanes(state.x), to_lanes(state.v), state.d.T
     constants = physics(crowd, n, dt)
-    if uniform:
+
+    def noise_of(k: int) -> Array:
+        if uniform:
+            return noise[k]
+        scaled = np.zeros(shape[1:])
+        scaled[:, :n] = factor(crowd, t + k * dt, xs[k, :, :n]) * noise[k, :, :n]
+        return scaled
+
+    if n >= fast_forces.CROSSOVER:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for k, sums in enumerate(fast_forces.plans(crowd.sheep, xs[:-1], n, pool.map)):
+                held, a = u[k // substeps], _acceleration(sums, xs[k], ds[k], constants)
+                then = xs[k + 1], vs[k + 1], ds[k + 1]
+                kernels.step(xs[k], vs[k], ds[k], held, a, noise_of(k), constants, *then)
+    elif uniform:
         kernels.rollout(xs, vs, ds, u, substeps, noise, constants)
     else:
         for k in range(steps):
-            scaled = np.zeros((1, *shape[1:]))
-            scaled[0, :, :n] = factor(crowd, t + k * dt, xs[k, :, :n]) * noise[k, :, :n]
             here, held = slice(k, k + 2), u[k // substeps, None]
-            kernels.rollout(xs[here], vs[here], ds[here], held, 1, scaled, constants)
+            kernels.rollout(xs[here], vs[here], ds[here], held, 1, noise_of(k)[None], constants)
     return Trajectory(dt, n, xs, vs, ds)
+
+
+def reverse_sweep(crowd: Crowd, trajectory: Trajectory, source: Array, substeps: int) -> Array:
+    """Return the derivative of a cost with respect to the control, (intervals, M, 2).
+
+    source (K+1, 2, lanes) is its partial derivative with respect to the trajectory's xs, zero
+    in the unused lanes; substeps as in `rollout`. Exact for the scheme and the forces of the
+    rollout.
+    """
+    n, dt, xs, ds = trajectory.n, trajectory.dt, trajectory.xs, trajectory.ds
+    constants = physics(crowd, n, dt)
+    steps = len(xs) - 1
+    gradient = np.zeros((steps // substeps, ds.shape[2], 2))
+    if n < fast_forces.CROSSOVER:
+        kernels.adjoint(xs, ds, source, substeps, constants, gradient)
+        return gradient
+    lam, mu, nu = source[steps].copy(), np.zeros_like(xs[0]), np.zeros_like(ds[0])
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        plans = list(fast_forces.plans(crowd.sheep, xs[:-1], n, pool.map))
+        for k in range(steps - 1, -1, -1):
+            gradient[k // substeps] += dt * nu.T
+            h = plans[k].hessian_products(xs[k], mu)
+            kernels.add_hessians_of_dogs(*h, *xs[k], *mu, ds[k], dt, nu, constants.dog)
+            for c in range(2):
+                kernels.retreat(
+                    lam[c, :n], mu[c, :n], h[c, :n], source[k, c, :n], dt, crowd.friction
+                )
+    return gradient

@@ -2,8 +2,8 @@
 
 Everything here works on plain arrays laid out for vector units: coordinates first, sheep
 last and contiguous, padded with unused lanes to a multiple of LANES. A state is x[2, lanes],
-v[2, lanes], d[2, M]. All kernels sit in one file because Numba's on-disk cache notices a
-changed file, but not a changed import. They release the GIL.
+v[2, lanes], d[2, M]. Kernels that call each other sit in one file because
+Numba's on-disk cache notices a changed file, but not a changed import. They release the GIL.
 
 Symbols are those of the paper: alpha friction, mu and lam the adjoints of v and x, nu the
 adjoint of d.
@@ -319,9 +319,8 @@ def _subtract_pull_of_dog(
 
 
 @_kernel
-def _subtract_pulls_of_dogs(
-    ax: Array, ay: Array, x: Array, y: Array, d: Array, p: PotentialForm
-) -> None:
+def subtract_pulls(ax: Array, ay: Array, x: Array, y: Array, d: Array, p: PotentialForm) -> None:
+    """Subtract from each sheep's acceleration the gradients of P(|x_i - d_m|), d[2, M]."""
     for m in range(d.shape[1]):
         _subtract_pull_of_dog(ax, ay, x, y, d[0, m], d[1, m], p)
 
@@ -368,7 +367,7 @@ def acceleration(x: Array, d: Array, physics: Physics, ring: Array, out: Array) 
         out[0], out[1], reaction[0], reaction[1], x[0], x[1], twice[0], twice[1], n, physics.sheep
     )
     _fold(reaction, n, out)
-    _subtract_pulls_of_dogs(out[0], out[1], x[0], x[1], d, physics.dog)
+    subtract_pulls(out[0], out[1], x[0], x[1], d, physics.dog)
     _fill(out, n, 0.0)
 
 
@@ -400,7 +399,7 @@ def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> N
     for i in range(0, x.shape[1], PATHS):
         for j in range(i // group * group, i, PATHS):
             _subtract_pull_of_pair(out[0], out[1], x[0], x[1], i, j, physics.sheep)
-    _subtract_pulls_of_dogs(out[0], out[1], x[0], x[1], d, physics.dog)
+    subtract_pulls(out[0], out[1], x[0], x[1], d, physics.dog)
 
 
 @_kernel
@@ -728,7 +727,7 @@ def _add_hessian_of_dog(
 
 
 @_kernel
-def _add_hessians_of_dogs(
+def add_hessians_of_dogs(
     hx: Array,
     hy: Array,
     x: Array,
@@ -740,10 +739,31 @@ def _add_hessians_of_dogs(
     nu: Array,
     p: PotentialForm,
 ) -> None:
+    """Add Hessians of P(|x_i - d_m|) times mu_i to h_i, and dt times their sums to nu[2, M]."""
     for m in range(d.shape[1]):
         sum_x, sum_y = _add_hessian_of_dog(hx, hy, x, y, mu_x, mu_y, d[0, m], d[1, m], p)
         nu[0, m] += dt * sum_x
         nu[1, m] += dt * sum_y
+
+
+@_kernel
+def hessian_products(
+    x: Array, mu: Array, n: int, p: PotentialForm, ring: Array, out: Array
+) -> None:
+    """Put sum_j Hessian P(|x_i - x_j|) (mu_i - mu_j) in out, visiting pairs as `acceleration`.
+
+    ring[3, 2, 2 lanes] is scratch.
+    """
+    twice, mu_twice, reaction = ring[0], ring[1], ring[2]
+    _fill(out, 0, 0.0)
+    _repeat(x, n, twice)
+    _repeat(mu, n, mu_twice)
+    _fill(reaction, 0, 0.0)
+    _hessians_round(
+        out[0], out[1], reaction[0], reaction[1], x[0], x[1], twice[0], twice[1],
+        mu[0], mu[1], mu_twice[0], mu_twice[1], n, p,
+    )  # fmt: skip
+    _fold(reaction, n, out)
 
 
 @_kernel
@@ -764,29 +784,19 @@ def adjoint(
     nu = np.zeros((2, d.shape[2]))
     h = np.empty_like(lam)
     ring = np.zeros((3, 2, 2 * x.shape[2]))
-    twice, mu_twice, reaction = ring[0], ring[1], ring[2]
     for k in range(steps - 1, -1, -1):
         for m in range(d.shape[2]):
             for c in range(2):
                 gradient[k // substeps, m, c] += dt * nu[c, m]
-        _fill(h, 0, 0.0)
-        _repeat(x[k], n, twice)
-        _repeat(mu, n, mu_twice)
-        _fill(reaction, 0, 0.0)
-        _hessians_round(
-            h[0], h[1], reaction[0], reaction[1], x[k, 0], x[k, 1], twice[0], twice[1],
-            mu[0], mu[1], mu_twice[0], mu_twice[1], n, physics.sheep,
-        )  # fmt: skip
-        _fold(reaction, n, h)
-        _add_hessians_of_dogs(
-            h[0], h[1], x[k, 0], x[k, 1], mu[0], mu[1], d[k], dt, nu, physics.dog
-        )
+        hessian_products(x[k], mu, n, physics.sheep, ring, h)
+        add_hessians_of_dogs(h[0], h[1], x[k, 0], x[k, 1], mu[0], mu[1], d[k], dt, nu, physics.dog)
         for c in range(2):
-            _retreat(lam[c, :n], mu[c, :n], h[c, :n], source[k, c, :n], dt, alpha)
+            retreat(lam[c, :n], mu[c, :n], h[c, :n], source[k, c, :n], dt, alpha)
 
 
 @_kernel
-def _retreat(lam: Array, mu: Array, h: Array, source: Array, dt: float, alpha: float) -> None:
+def retreat(lam: Array, mu: Array, h: Array, source: Array, dt: float, alpha: float) -> None:
+    """One step back in time; h the Hessian products, `source` as in `adjoint`."""
     for i in range(lam.shape[0]):
         mu_i = mu[i]
         mu[i] = (1.0 - alpha * dt) * mu_i + dt * lam[i]
@@ -877,7 +887,7 @@ def centre_adjoints(
             for c in range(2):
                 _add_multiple(dt, nu[c], gradients[k // substeps, c])
                 _add_multiple(-dt, h[c, sheep:], nu[c])
-                _retreat(lam[c], mu[c, :sheep], h[c, :sheep], no_source, dt, alpha)
+                retreat(lam[c], mu[c, :sheep], h[c, :sheep], no_source, dt, alpha)
         for q in range(nodes.shape[0]):
             if nodes[q] == k:
                 for c in range(2):

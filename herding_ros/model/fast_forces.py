@@ -1,0 +1,144 @@
+"""Which way to sum the forces in a big flock: planned for the flock, checked against the sum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+import math
+
+import numpy as np
+
+from . import kernels
+from .particle_mesh import ParticleMesh, Run
+from .potentials import Potential
+from .state import Array
+
+CROSSOVER = 1500
+"""From this number of sheep on the particle mesh is worth its while (doc/performance.md)."""
+
+ACCURACY = 1e-4
+"""Error of the forces on all sheep, relative in the Euclidean norm, that a plan keeps."""
+
+_CHECKED = 256
+"""So many sheep have their forces compared with the direct sum."""
+_SAFETY = 0.7
+"""A sample may be luckier than the flock: its error has to keep this part of the bound."""
+_PERIOD = 32
+"""A plan is used for so many steps at most."""
+_MARGIN = 0.02
+"""The box is wider than the flock by this part of the flock, on each side."""
+_COUNTED = 2**14
+"""So many sheep at most are counted to foretell the number of near pairs."""
+
+# Seconds, of one thread, for a pair in the direct sum, for one within the reach, and for a mesh
+# point. Only their ratios matter. They are constants so that the same flock gets the same plan.
+_DIRECT, _PAIR, _POINT = 0.9e-9, 0.9e-9, 7e-9
+# Mesh points on the longer side of the box. The most bounds the memory.
+_POINTS = 16.0 * 2.0 ** (np.arange(29) / 4.0)
+_RATIO_STEP, _MOST_RATIO = 0.5, 14.0
+
+
+@dataclass(frozen=True)
+class DirectSum:
+    """The same sums over all pairs, n (n - 1) / 2 of them."""
+
+    potential: Potential
+    n: int
+
+    @cached_property
+    def _form(self) -> kernels.PotentialForm:
+        return kernels.divided(self.potential.kernel_form(), self.n)
+
+    def holds(self, x: Array) -> bool:
+        """Return True: sheep may be anywhere."""
+        return True
+
+    def gradients(self, x: Array) -> Array:
+        """Return 1/n sum_j grad P(x_i - x_j) at x (2, lanes) [m], as (2, lanes) [m/s^2]."""
+        out = np.empty_like(x)
+        ring = np.empty((2, 2, 2 * x.shape[1]))
+        physics = kernels.Physics(self.n, 1.0, self._form, self._form, 0.0)
+        kernels.acceleration(x, np.empty((2, 0)), physics, ring, out)
+        return -out
+
+    def hessian_products(self, x: Array, mu: Array) -> Array:
+        """Return the derivative of the gradients as sheep at x move with velocities mu."""
+        out = np.empty_like(x)
+        ring = np.empty((3, 2, 2 * x.shape[1]))
+        kernels.hessian_products(x, mu, self.n, self._form, ring, out)
+        return out
+
+
+Sums = ParticleMesh | DirectSum
+"""What sums the forces: has `gradients`, `hessian_products`, and a box that `holds` the flock."""
+
+
+def plan(
+    potential: Potential, x: Array, n: int, accuracy: float = ACCURACY, run: Run = map
+) -> Sums:
+    """Return what sums the forces of n sheep near x (2, lanes) [m] fastest, to the accuracy.
+
+    The ratio of reach and mesh spacing sets the accuracy of a mesh. It starts where repulsion
+    like the default crowd's needs it, and is raised until the error of a sample holds. For each
+    ratio the reach is that of least cost. The result depends on the arguments only.
+    """
+    direct = DirectSum(potential, n)
+    here = x[:, :n]
+    low, extent = here.min(axis=1), np.ptp(here, axis=1)
+    margin = _MARGIN * extent.max()
+    if not 0.0 < margin < math.inf:  # all in one place, or lost
+        return direct
+    low, extent = low - margin, extent + 2.0 * margin
+    sample = np.linspace(0, n - 1, min(_CHECKED, n)).astype(int)
+    exact = np.zeros((2, kernels.lanes(len(sample))))
+    places = np.zeros_like(exact)
+    places[:, : len(sample)] = here[:, sample]
+    form = kernels.divided(potential.kernel_form(), n)
+    kernels.subtract_pulls(*exact, *places, np.ascontiguousarray(here), form)
+    exact = exact[:, : len(sample)]
+    ratio = max(4.0, 4.0 - (math.log10(accuracy) + 3.5) / 0.55)
+    while ratio <= _MOST_RATIO:
+        reach, cost = _cheapest(here, low, extent, ratio)
+        if cost > 0.5 * _DIRECT * n**2:
+            break
+        mesh = ParticleMesh(potential, n, low, extent, reach, reach / ratio, run)
+        error = np.linalg.norm(mesh.gradients(x)[:, sample] + exact)
+        if error <= _SAFETY * accuracy * np.linalg.norm(exact):
+            return mesh
+        ratio += _RATIO_STEP
+    return direct
+
+
+def _cheapest(x: Array, low: Array, extent: Array, ratio: float) -> tuple[float, float]:
+    """Return the reach [m] of least cost for a ratio of reach and spacing, and its cost [s].
+
+    Sheep within the reach of each other are foretold from numbers of sheep in squares.
+    """
+    counted = x[:, :: -(-x.shape[1] // _COUNTED)]
+    scale = (x.shape[1] / counted.shape[1]) ** 2
+    costs = []
+    reaches = ratio * extent.max() / _POINTS
+    for reach in reaches:
+        columns = int(extent[0] / reach) + 1
+        column, row = ((counted - low[:, None]) / reach).astype(int)
+        numbers = np.bincount(row * columns + column)
+        pairs = 0.5 * math.pi * scale * float(numbers @ (numbers - 1.0))
+        points = 4.0 * float(np.prod(ratio * extent / reach + 16.0))
+        costs.append(_PAIR * pairs + _POINT * points)
+    best = int(np.argmin(costs))
+    return float(reaches[best]), costs[best]
+
+
+def plans(
+    potential: Potential, xs: Array, n: int, run: Run, accuracy: float = ACCURACY
+) -> Iterator[Sums]:
+    """Yield the plan of each step of a rollout xs[K+1, 2, lanes] [m], looking no further.
+
+    So a rollout that is only just being made, and later its reverse sweep, have the same.
+    """
+    present = None
+    for k, x in enumerate(xs):
+        if present is None or k % _PERIOD == 0 or not present.holds(x):
+            present = plan(potential, x, n, accuracy, run)
+        yield present
