@@ -17,6 +17,7 @@ _SECONDS = 3.0
 _ROUNDS = (5, 25)
 _QUICK = {
     'sheep': 10,
+    'flock_size': 3000,
     'dogs': 5,
     'seed': 0,
     'implementation': 'ours',

@@ -15,6 +15,13 @@ def growth(results: Results) -> list[float]:
     return list(np.log10(results.values('ratios', 'growth', sheep=100)))
 
 
+def growth_of_step(results: Results) -> list[float]:
+    """Return the exponents p of time ~ N^p of a step from 1e3 to 1e6 sheep."""
+    few = results.values('seconds', 'step', sheep=1000)
+    many = results.values('seconds', 'step', sheep=1_000_000)
+    return [float(np.log10(seconds / np.median(few))) / 3.0 for seconds in many if few]
+
+
 def replans(results: Results) -> list[float]:
     """Return the times of all replans of the default controller [ms]."""
     times = results.values('seconds', 'replan', thorough=False, paths=100)
@@ -92,5 +99,25 @@ GOALS = (
         2.0,
         growth,
         at_least=False,
+    ),
+    Goal(
+        '[Forces](#big-flocks) on 10⁵ sheep, relative error at most 1e-4',
+        100.0,
+        lambda results: [1e3 * s for s in results.values('seconds', 'force', sheep=100_000)],
+        ' ms',
+        at_least=False,
+    ),
+    Goal(
+        'A step from N = 10³ to N = 10⁶: exponent of N',
+        1.15,
+        growth_of_step,
+        at_least=False,
+    ),
+    Goal(
+        'Forces, N = 10⁴, relative error at most 1e-6: time of the direct sum / ours',
+        20.0,
+        lambda results: results.values(
+            'ratios', 'force against direct', sheep=10_000, accuracy=1e-6
+        ),
     ),
 )

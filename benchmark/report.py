@@ -8,8 +8,9 @@ from string import Template
 
 from benchmark import tables
 from benchmark.figure import draw
-from benchmark.goals import growth
+from benchmark.goals import growth, growth_of_step
 from benchmark.results import Results, Spread
+from herding_ros.model.fast_forces import CROSSOVER
 
 SECTION = 'written by scripts/benchmark'
 
@@ -60,6 +61,12 @@ def section(results: Results) -> str:
         replan=tables.replan(results),
         herd=tables.herd(results),
         jitter=tables.jitter(results),
+        forces=tables.forces(results),
+        direct_forces=tables.direct_forces(results),
+        crossover=tables.crossover(results),
+        crossing=str(CROSSOVER),
+        steps=tables.steps(results),
+        step_growth=spread(growth_of_step(results)),
         memory=tables.memory(results),
     )
 

@@ -142,6 +142,61 @@ def replan(results: Results) -> str:
     return table(head, map(row, results.of('replan')))
 
 
+def forces(results: Results) -> str:
+    """Return times and errors of the forces in big flocks, ours on all cores."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        return (
+            str(entry['sheep']),
+            f'{entry["error"]:.1e}',
+            significant(entry['reach']),
+            '{} × {}'.format(*entry['points']),
+            median(entry['seconds'], 1e-3),
+        )
+
+    head = ('N', 'error', 'reach [m]', 'mesh', 'one evaluation [ms]')
+    return table(head, map(row, results.of('force')))
+
+
+def direct_forces(results: Results) -> str:
+    """Return times of the forces against the direct sum's, one thread each."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        return (
+            str(entry['sheep']),
+            f'{entry["accuracy"]:g}',
+            f'{entry["error"]:.1e}',
+            significant(entry['reach']),
+            '{} × {}'.format(*entry['points']),
+            median(entry['seconds'], 1e-3),
+            median(entry['peer_seconds'], 1e-3),
+            str(Spread.of(entry['ratios'])),
+        )
+
+    head = (
+        'N', 'wanted', 'error', 'reach [m]', 'mesh', 'ours [ms]', 'direct [ms]', 'direct / ours',
+    )  # fmt: skip
+    return table(head, map(row, results.of('force against direct')))
+
+
+def crossover(results: Results) -> str:
+    """Return times of a rollout with direct sums over those with a plan."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        return str(entry['sheep']), str(Spread.of(entry['ratios']))
+
+    return table(('N', 'direct / planned'), map(row, results.of('crossover')))
+
+
+def steps(results: Results) -> str:
+    """Return the time of a step over the number of sheep."""
+
+    def row(entry: Entry) -> tuple[str, ...]:
+        return str(entry['sheep']), str(Spread.of(1e3 * np.array(entry['seconds'])))
+
+    return table(('N', 'a step [ms]'), map(row, results.of('step')))
+
+
 def jitter(results: Results) -> str:
     """Return how far the time between two commands is from the control period."""
 

@@ -85,11 +85,11 @@ def plan(
     """
     direct = DirectSum(potential, n)
     here = x[:, :n]
-    low, extent = here.min(axis=1), np.ptp(here, axis=1)
-    margin = _MARGIN * extent.max()
-    if not 0.0 < margin < math.inf:  # all in one place, or lost
+    low, high = here.min(axis=1), here.max(axis=1)
+    if not np.isfinite(high - low).all() or (high == low).all():  # lost, or all in one place
         return direct
-    low, extent = low - margin, extent + 2.0 * margin
+    margin = _MARGIN * (high - low).max()
+    low, extent = low - margin, high - low + 2.0 * margin
     sample = np.linspace(0, n - 1, min(_CHECKED, n)).astype(int)
     exact = np.zeros((2, kernels.lanes(len(sample))))
     places = np.zeros_like(exact)

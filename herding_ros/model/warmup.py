@@ -11,6 +11,7 @@ from .crowd import Crowd
 from .dynamics import physics, rollout
 from .ensemble import expected_positions
 from .noise import noise_paths
+from .particle_mesh import ParticleMesh
 from .potentials import Mollified, Morse
 from .sampling import FineModel, free, linear, Resolution
 from .state import HerdState
@@ -37,6 +38,9 @@ def warm_up(crowd: Crowd | None = None) -> float:
     rows = np.zeros((1, 2, kernels.PATHS))
     kernels.centre_adjoints(trajectory.xs, trajectory.ds, nodes, 1, physics(crowd, 2, 0.01), rows)
     kernels.adjoint(trajectory.xs, trajectory.ds, source, 1, physics(crowd, 2, 0.01), u.copy())
+    mesh = ParticleMesh(crowd.sheep, 2, np.array([-1.0, -1.0]), np.array([3.0, 3.0]), 0.4, 0.1)
+    mesh.gradients(trajectory.xs[0])
+    mesh.hessian_products(trajectory.xs[0], trajectory.xs[0])
     return time.perf_counter() - started
 
 
