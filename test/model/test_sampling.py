@@ -12,6 +12,7 @@ from herding_ros.model.potentials import Morse
 from herding_ros.model.sampling import (
     alone,
     Estimator,
+    ESTIMATORS,
     FineModel,
     free,
     interpolate,
