@@ -28,8 +28,8 @@ from herding_ros.report.cli import write_report
 from .running import start_ros
 
 _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED, _INTERRUPTED = 0, 1, 2, 3, 130
-_QUESTIONS = 1.2
-"""Time that the recorder gets to ask the nodes for their parameters, however short a run [s]."""
+_QUESTIONS = 10.0
+"""Time after a run that the recorder gets at most to ask sim and controller for parameters [s]."""
 
 _PATIENCE = 20.0
 """Time that a child gets to end by itself [s]."""
@@ -141,6 +141,7 @@ class Watcher(Node):
         super().__init__('herd')
         self.sim: dict[str, str] = {}
         self.plan: dict[str, str] = {}
+        self.recorder: dict[str, str] = {}
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -150,6 +151,14 @@ class Watcher(Node):
                 self.sim = values
             elif status.name == 'controller: plan':
                 self.plan = values
+            elif status.name == 'recorder: bag':
+                self.recorder = values
+
+    @property
+    def parameters_known(self) -> bool:
+        """Whether the recorder has asked sim and controller for their parameters."""
+        known = self.recorder.get('parameters_of', '').split()
+        return {'/sim', '/controller'} <= set(known)
 
     @property
     def finished(self) -> bool:
@@ -213,7 +222,7 @@ def _watch(
     """Show how it goes until it is over; return the exit code."""
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)
-    begun = shown = time.monotonic()
+    begun = shown = finished = time.monotonic()
     t0 = 0.0
     # One live line for people; a line every few seconds for files and pipes.
     with (
@@ -227,8 +236,10 @@ def _watch(
             elif not t0:
                 t0 = max(watcher.time, 1e-9)
             dead = [child for child in children if child.process.poll() is not None]
-            told = watcher.finished and now > begun + _QUESTIONS
-            over = told or dead or interrupted.is_set()
+            if not watcher.finished:
+                finished = now
+            told = watcher.parameters_known or now > finished + _QUESTIONS
+            over = (watcher.finished and told) or dead or interrupted.is_set()
             if over or now - shown > (0.2 if live else 5.0):
                 shown = now
                 line = Text(watcher.line(t0, now - begun), no_wrap=True)

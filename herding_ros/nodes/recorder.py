@@ -310,6 +310,7 @@ class Recorder(HerdingNode):
             'messages': self._bag.message_count,
             'bytes': self._bytes,
             'lost': self._lost,
+            'parameters_of': ' '.join(sorted(self._parameters_of)),
             **self._refused.report_values(),
         }
         level = DiagnosticStatus.WARN if self._refused.counts else DiagnosticStatus.OK

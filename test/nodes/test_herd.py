@@ -20,11 +20,13 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.parameters import Control
+from herding_ros.model import fast_forces
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import arrived, spread
 from herding_ros.model.simulation import World
 
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
+LARGE = 3000
 OPTIONS = ['--sheep', '10', '--dogs', '3', '--seed', '2', '--goal', '0.4', '0.2']
 
 
@@ -94,6 +96,25 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit_and_twice(
         assert arrived(x[-1].astype(float), np.array(GOAL), float(spread(x[0].astype(float))))
         assert (out / 'trajectories.png').read_bytes().startswith(b'\x89PNG')
     assert clouds[0] == clouds[1]
+
+
+def test_large_flock_is_herded_as_in_the_loop_without_ros(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Its clouds, its forces by a mesh, its mean-field limit, the density in the picture."""
+    expected = closed_loop(
+        Crowd(), World(sheep=LARGE, dogs=DOGS, seed=SEED), Control(), np.array(GOAL), 1.0
+    )
+    assert max(fast_forces.CROSSOVER, 2 * Control().coarse.markers) < LARGE
+    options = [*OPTIONS, '--sheep', str(LARGE)]  # the last one counts
+    out = tmp_path / 'out'
+    herd = start('herd', *options, '--time-limit', '1', '--out', str(out))
+    assert herd.wait() == 1, herd.log  # time ran out
+    messages = read(out / 'bag')
+    x = np.array([positions(cloud) for cloud in messages['/truth/sheep']])
+    assert np.array_equal(x, expected.x.astype(np.float32))
+    assert json.loads((out / 'summary.json').read_text())['sheep'] == LARGE
+    assert (out / 'trajectories.png').read_bytes().startswith(b'\x89PNG')
 
 
 def test_nodes_that_start_together_find_each_other_at_once(
