@@ -14,7 +14,7 @@ from .particle_mesh import ParticleMesh, Run
 from .potentials import Potential
 from .state import Array
 
-CROSSOVER = 1500
+CROSSOVER = 2000
 """From this number of sheep on the particle mesh is worth its while (doc/performance.md)."""
 
 ACCURACY = 1e-4
@@ -28,7 +28,7 @@ _PERIOD = 32
 """A plan is used for so many steps at most."""
 _MARGIN = 0.02
 """The box is wider than the flock by this part of the flock, on each side."""
-_COUNTED = 2**14
+_COUNTED = 2**12
 """So many sheep at most are counted to foretell the number of near pairs."""
 
 # Seconds, of one thread, for a pair in the direct sum, for one within the reach, and for a mesh
@@ -36,7 +36,9 @@ _COUNTED = 2**14
 _DIRECT, _PAIR, _POINT = 0.9e-9, 0.9e-9, 7e-9
 # Mesh points on the longer side of the box. The most bounds the memory.
 _POINTS = 16.0 * 2.0 ** (np.arange(29) / 4.0)
-_RATIO_STEP, _MOST_RATIO = 0.5, 14.0
+_RATIO_STEP = 0.5
+_LEAST_GAIN = 0.9
+"""A higher ratio that leaves more than this part of the error is not worth another try."""
 
 
 @dataclass(frozen=True)
@@ -97,16 +99,18 @@ def plan(
     form = kernels.divided(potential.kernel_form(), n)
     kernels.subtract_pulls(*exact, *places, np.ascontiguousarray(here), form)
     exact = exact[:, : len(sample)]
-    ratio = max(4.0, 4.0 - (math.log10(accuracy) + 3.5) / 0.55)
-    while ratio <= _MOST_RATIO:
+    ratio, last = max(4.0, 4.5 - (math.log10(accuracy) + 3.5) / 0.55), math.inf
+    while True:
         reach, cost = _cheapest(here, low, extent, ratio)
         if cost > 0.5 * _DIRECT * n**2:
             break
         mesh = ParticleMesh(potential, n, low, extent, reach, reach / ratio, run)
-        error = np.linalg.norm(mesh.gradients(x)[:, sample] + exact)
+        error = float(np.linalg.norm(mesh.gradients(x)[:, sample] + exact))
         if error <= _SAFETY * accuracy * np.linalg.norm(exact):
             return mesh
-        ratio += _RATIO_STEP
+        if error > _LEAST_GAIN * last:  # not for want of mesh points
+            break
+        ratio, last = ratio + _RATIO_STEP, error
     return direct
 
 

@@ -28,6 +28,13 @@ from .state import Array
 
 _SMOOTHNESS = 8
 """So many derivatives of the smooth part, the zeroth among them, are continuous at the reach."""
+_DERIVATIVES = np.array(
+    [
+        [Polynomial.basis(2 * power).deriv(k)(1.0) for power in range(_SMOOTHNESS)]
+        for k in range(_SMOOTHNESS)
+    ]
+)
+"""Row k holds the k-th derivatives of z^0, z^2, z^4, ... at z = 1."""
 _COLUMNS = 16
 """Columns of the cells in a length of the reach."""
 _WRAP = 12
@@ -46,13 +53,11 @@ def split(potential: Potential, reach: float) -> tuple[Near, Polynomial]:
     )
     wanted = [float(potential.value(np.array(reach)))]
     wanted += [float(slope.deriv(k)(1.0)) for k in range(_SMOOTHNESS - 1)]
-    # Row k holds the k-th derivatives of z^0, z^2, z^4, ... at z = 1.
-    powers = [Polynomial.basis(2 * k) for k in range(_SMOOTHNESS)]
-    rows = [[power.deriv(k)(1.0) for power in powers] for k in range(_SMOOTHNESS)]
-    smooth = Polynomial(np.linalg.solve(rows, wanted))
+    smooth = Polynomial(np.linalg.solve(_DERIVATIVES, wanted))
+    smooth_slope = smooth.deriv()
 
     def near_slope(z: Array) -> Array:
-        return potential.derivative(reach * z) - 2.0 * z / reach * smooth.deriv()(z * z)
+        return potential.derivative(reach * z) - 2.0 * z / reach * smooth_slope(z * z)
 
     fitted = Chebyshev.interpolate(near_slope, 15, domain=[0.0, 1.0])
     powers_of_z = Polynomial.cast(fitted, domain=[-1.0, 1.0], window=[-1.0, 1.0]).coef
