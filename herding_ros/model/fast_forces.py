@@ -27,7 +27,9 @@ _SAFETY = 0.7
 _PERIOD = 32
 """A plan is used for so many steps at most."""
 _MARGIN = 0.02
-"""The box is wider than the flock by this part of the flock, on each side."""
+"""The box is wider than the flock by this part of the flock, on each side, or some more."""
+_BOXES_PER_OCTAVE = 8
+"""Boxes have few sizes, so that what a mesh needs of the potential is found once."""
 _COUNTED = 2**12
 """So many sheep at most are counted to foretell the number of near pairs."""
 
@@ -91,7 +93,8 @@ def plan(
     if not np.isfinite(high - low).all() or (high == low).all():  # lost, or all in one place
         return direct
     margin = _MARGIN * (high - low).max()
-    low, extent = low - margin, high - low + 2.0 * margin
+    octaves = np.ceil(_BOXES_PER_OCTAVE * np.log2(high - low + 2.0 * margin)) / _BOXES_PER_OCTAVE
+    low, extent = low - 0.5 * (2.0**octaves - (high - low)), 2.0**octaves
     sample = np.linspace(0, n - 1, min(_CHECKED, n)).astype(int)
     exact = np.zeros((2, kernels.lanes(len(sample))))
     places = np.zeros_like(exact)
@@ -121,17 +124,17 @@ def _cheapest(x: Array, low: Array, extent: Array, ratio: float) -> tuple[float,
     """
     counted = x[:, :: -(-x.shape[1] // _COUNTED)]
     scale = (x.shape[1] / counted.shape[1]) ** 2
-    costs = []
-    reaches = ratio * extent.max() / _POINTS
-    for reach in reaches:
+    best = (math.inf, math.inf)
+    for reach in (ratio * extent.max() / _POINTS).tolist():
+        mesh_cost = _POINT * 4.0 * float(np.prod(ratio * extent / reach + 16.0))
+        if mesh_cost > best[0]:  # and so are all that follow
+            break
         columns = int(extent[0] / reach) + 1
         column, row = ((counted - low[:, None]) / reach).astype(int)
         numbers = np.bincount(row * columns + column)
         pairs = 0.5 * math.pi * scale * float(numbers @ (numbers - 1.0))
-        points = 4.0 * float(np.prod(ratio * extent / reach + 16.0))
-        costs.append(_PAIR * pairs + _POINT * points)
-    best = int(np.argmin(costs))
-    return float(reaches[best]), costs[best]
+        best = min(best, (mesh_cost + _PAIR * pairs, reach))
+    return best[1], best[0]
 
 
 def plans(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 import itertools
 from typing import Any, NamedTuple
 
@@ -43,6 +43,7 @@ _PARTS = 4
 """Parts of the flock that may be done at a time: a constant, since sums depend on it."""
 
 
+@cache
 def split(potential: Potential, reach: float) -> tuple[Near, Polynomial]:
     """Return the near part's slope, and the smooth part within the reach [m].
 

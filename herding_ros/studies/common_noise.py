@@ -15,7 +15,7 @@ from herding_ros.model.scenario import GOAL
 from .experiments.settings import differences
 from .markdown import table
 from .pictures import BLUE, COLOURS, GREY, new, save
-from .runs import median_time, paths_of, run_task, success, under, with_mapping
+from .runs import median_time, paths_of, PLAIN, run_task, success, under, with_mapping
 from .statistics import Mean
 from .stochasticity import ratios
 from .study import Options, Results, Row, Section
@@ -28,13 +28,15 @@ SHARES = (0.0, 0.25, 0.5, 1.0)
 _SIGMA = 0.03
 
 _RUN_SIGMAS = (0.01, 0.02)
-_PLANS = {'mapped': {}, 'not mapped': with_mapping({}, max_iterations=0)}
+_PLANS = {'mapped': PLAIN, 'not mapped': with_mapping(PLAIN, max_iterations=0)}
 """Settings of the controller in whole runs."""
 
 
 def _settings(paths: int) -> dict[str, Any]:
     """Settings of the paper's window with our mapping, four iterations whatever happens."""
-    mapping = Mapping('output', paths=paths, max_iterations=4, accuracy=1e-9)
+    mapping = Mapping(
+        'output', 'plain', 0.0, paths=paths, max_iterations=4, accuracy=1e-9
+    )  # fmt: skip
     return differences(replace(PAPER, mapping=mapping), Control())
 
 

@@ -256,11 +256,11 @@ def _figure(results: Results, figures: Path) -> str:
                 yerr=[np.nan_to_num(each.error) for each in found.values()],
                 fmt=style, color=colour, markersize=4, linewidth=1.2, capsize=2, label=label,
             )  # fmt: skip
-        first = _errors(results, min(_FLOCKS), 'flock', str(_LIMIT), name)
+        first = _errors(results, min(_FLOCKS), 'density', name)
         if first:
             n = np.array([min(_FLOCKS), max(_FLOCKS)])
-            place.plot(n, 2.0 * np.mean(first) * n[0] / n, color='black', linewidth=0.6)
+            place.plot(n, np.mean(first) * np.sqrt(n[0] / n), color='black', linewidth=0.6)
             place.set(xscale='log', yscale='log')
         place.set(xlabel='N', ylabel=f'error of the {name} [m]')
-    axes[0, 0].legend(fontsize=7, frameon=False)
+    axes[0, 1].legend(fontsize=7, frameon=False)
     return save(figure, figures / 'mean_field.png')

@@ -16,6 +16,7 @@ from .runs import (
     failures,
     median_time,
     paths_of,
+    PLAIN,
     safe,
     success,
     SUMMARY,
@@ -42,8 +43,8 @@ _COLOURS = {'as observed': RED, 'filtered': BLUE}
 def _settings(expected: float) -> dict[str, Any]:
     """Settings of a controller that expects so much noise [m and m/s]; 0: no filter."""
     if not expected:
-        return {}
-    return {'sensor': {'position_noise': expected, 'velocity_noise': expected}}
+        return PLAIN
+    return {**PLAIN, 'sensor': {'position_noise': expected, 'velocity_noise': expected}}
 
 
 def _expected(way: str, noise: float) -> float:

@@ -15,11 +15,17 @@ from .statistics import Fraction, Mean, Median, significant
 from .study import Results
 from .task import Task
 
+PLAIN: dict[str, Any] = {'mapping': {'estimator': 'plain', 'standard_error': 0.0}}
+"""Settings of a mapping that sees the mean of plain paths, as the paper's does."""
+
 SETTINGS: dict[str, dict[str, Any]] = {
-    'default': {},
+    'default': PLAIN,
     'paper': differences(PAPER, Control()),
 }
-"""Settings of the controller by name, as what differs from its defaults."""
+"""Settings of the controller by name, as what differs from its defaults.
+
+The default one with plain paths, so that the two differ in the control alone.
+"""
 
 MAX_SPREAD = 0.6
 """A flock whose spread was larger on the way was not herded but chased [m]."""
