@@ -170,8 +170,8 @@ class ParticleMesh:
 
     def holds(self, x: Array) -> bool:
         """Whether all sheep at x (2, lanes) [m] are in the box."""
-        here = x[:, : self.n].T
-        return bool((here >= self.low).all() and (here <= self.low + self.extent).all())
+        share = (x[:, : self.n].T - self.low) / self.extent
+        return bool(((share >= 0.0) & (share < 1.0 - 1e-9)).all())  # not on its very edge
 
     def gradients(self, x: Array) -> Array:
         """Return 1/n sum_j grad P(x_i - x_j) at x (2, lanes) [m], as (2, lanes) [m/s^2]."""
