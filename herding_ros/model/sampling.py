@@ -208,8 +208,10 @@ class Estimator:
     def levels(self, fine: FineModel) -> tuple[Level, ...]:
         """Return the terms of the sum, from the coarsest model on."""
         chain = self.chain(fine)
+        # The centre of a large flock is known well from the two paths that a variance takes.
+        in_pairs = self.antithetic and fine.at_once == PATHS
         return tuple(
-            Level(fine, each, below, self.variate, self.antithetic)
+            Level(fine, each, below, self.variate, in_pairs)
             for each, below in zip(chain, (None, *chain[:-1]), strict=True)
         )
 

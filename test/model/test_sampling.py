@@ -12,6 +12,7 @@ from herding_ros.model.potentials import Morse
 from herding_ros.model.sampling import (
     alone,
     Estimator,
+    ESTIMATORS,
     FineModel,
     free,
     interpolate,
@@ -201,3 +202,10 @@ def test_interpolation_is_linear_between_the_steps() -> None:
         expected = np.interp(np.arange(16) / 5, np.arange(4), values[:, c, 1])
         np.testing.assert_allclose(found[:, c, 1], expected, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(interpolate(values, 1), values)
+
+
+@pytest.mark.parametrize(('sheep', 'pairs'), [(512, True), (513, False)])
+def test_large_flock_takes_paths_one_by_one(sheep: int, pairs: bool) -> None:
+    state = HerdState(np.zeros((sheep, 2)), np.zeros((sheep, 2)), np.ones((1, 2)))
+    fine = FineModel(Crowd(), state, 0.1, 4)
+    assert [level.antithetic for level in ESTIMATORS['multilevel'].levels(fine)] == [pairs] * 2
