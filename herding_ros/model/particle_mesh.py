@@ -28,6 +28,13 @@ from .state import Array
 
 _SMOOTHNESS = 8
 """So many derivatives of the smooth part, the zeroth among them, are continuous at the reach."""
+_DERIVATIVES = np.array(
+    [
+        [Polynomial.basis(2 * power).deriv(k)(1.0) for power in range(_SMOOTHNESS)]
+        for k in range(_SMOOTHNESS)
+    ]
+)
+"""Row k holds the k-th derivatives of z^0, z^2, z^4, ... at z = 1."""
 _COLUMNS = 16
 """Columns of the cells in a length of the reach."""
 _WRAP = 12
@@ -47,13 +54,11 @@ def split(potential: Potential, reach: float) -> tuple[Near, Polynomial]:
     )
     wanted = [float(potential.value(np.array(reach)))]
     wanted += [float(slope.deriv(k)(1.0)) for k in range(_SMOOTHNESS - 1)]
-    # Row k holds the k-th derivatives of z^0, z^2, z^4, ... at z = 1.
-    powers = [Polynomial.basis(2 * k) for k in range(_SMOOTHNESS)]
-    rows = [[power.deriv(k)(1.0) for power in powers] for k in range(_SMOOTHNESS)]
-    smooth = Polynomial(np.linalg.solve(rows, wanted))
+    smooth = Polynomial(np.linalg.solve(_DERIVATIVES, wanted))
+    smooth_slope = smooth.deriv()
 
     def near_slope(z: Array) -> Array:
-        return potential.derivative(reach * z) - 2.0 * z / reach * smooth.deriv()(z * z)
+        return potential.derivative(reach * z) - 2.0 * z / reach * smooth_slope(z * z)
 
     fitted = Chebyshev.interpolate(near_slope, 15, domain=[0.0, 1.0])
     powers_of_z = Polynomial.cast(fitted, domain=[-1.0, 1.0], window=[-1.0, 1.0]).coef
@@ -165,8 +170,8 @@ class ParticleMesh:
 
     def holds(self, x: Array) -> bool:
         """Whether all sheep at x (2, lanes) [m] are in the box."""
-        here = x[:, : self.n].T
-        return bool((here >= self.low).all() and (here <= self.low + self.extent).all())
+        share = (x[:, : self.n].T - self.low) / self.extent
+        return bool(((share >= 0.0) & (share < 1.0 - 1e-9)).all())  # not on its very edge
 
     def gradients(self, x: Array) -> Array:
         """Return 1/n sum_j grad P(x_i - x_j) at x (2, lanes) [m], as (2, lanes) [m/s^2]."""
