@@ -139,7 +139,8 @@ class ExpectedCentre:
 
     def _pilot(self) -> list[int]:
         fewest = max(self._fine.at_once, _FEWEST)
-        return [fewest] * (len(self._levels) - 1) + [min(fewest, self._most)]
+        affordable = max(int(self._most / self._levels[-1].work), _FEWEST)
+        return [fewest] * (len(self._levels) - 1) + [min(fewest, affordable)]
 
     def _allocate(self, variances: list[float]) -> list[int]:
         """Return the numbers of paths with the least work, from the variances of single ones."""

@@ -86,10 +86,10 @@ class FineModel:
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely the crowd is computed: split into flocks that do not notice each other, in time.
+    """How finely the crowd is computed: in flocks that do not notice each other, and in time.
 
-    group: sheep in each of these, the first ones by number, then the next; None: all.
-    longer: time step in units of the fine model's.
+    group: sheep in each of these flocks, the first ones by number, then the next; None: all.
+    longer: time step in units of the fine model's, a divisor of their number.
 
     Forces between sheep do not move their centre, and it is the same when two swap places in a
     collision. So even sheep that see the dogs only have nearly the same centre (`alone`).
@@ -244,7 +244,7 @@ def interpolate(values: Array, times: int) -> Array:
 
 
 ESTIMATORS = {
-    'multilevel': Estimator(lambda fine: (alone(fine), Resolution()), free),
+    'multilevel': Estimator(lambda fine: (alone(fine), Resolution()), free, antithetic=True),
     'plain': Estimator(),
 }
 """What a controller can be told: the cheapest that we know, and common Monte Carlo."""

@@ -30,8 +30,8 @@ _WORDS = {
     'two steps': 'levels: time step 0.1, 0.05 s',
     'three steps': 'levels: time step 0.2, 0.1, 0.05 s',
     'halves': 'levels: sheep alone, half flocks, flock',
-    'multilevel': 'levels: sheep alone, flock (default)',
-    'multilevel antithetic': 'the same in antithetic pairs',
+    'single': 'levels: sheep alone, flock',
+    'multilevel': 'the same in antithetic pairs (default)',
 }
 
 
@@ -153,5 +153,7 @@ def _figure(results: Results, sigmas: list[float], figures: Path) -> str:
     )  # fmt: skip
     left.set_title(f'σ = {_SHOWN:g}', fontsize=9)
     right.set(yscale='log', xlabel='σ [m/s^1.5]', ylabel='plain / estimator, CPU time')
-    right.legend(fontsize=6, frameon=False)
+    figure.legend(
+        *left.get_legend_handles_labels(), fontsize=7, loc='outside right', frameon=False
+    )
     return save(figure, figures / 'sampling.png')

@@ -30,6 +30,7 @@ ALL = {
     'linear': Estimator(variate=linear),
     'time': Estimator(lambda _: (Resolution(longer=4), Resolution(longer=2), Resolution()), free),
     'halves': Estimator(lambda fine: (alone(fine), Resolution(5), Resolution()), free),
+    'single': Estimator(ESTIMATORS['multilevel'].chain, free),
 }
 
 

@@ -16,7 +16,7 @@ def test_every_estimator_gets_there_and_they_agree() -> None:
         assert each['off'] < 4.0 * 7e-3
         assert (each['off'] == 0.0) == (name == 'plain')
         assert min(each['first'], each['again']) > 0.0
-        assert each['work'] >= each['paths'][-1]
+        assert each['work'] >= each['paths'][-1] * (1.0 - 1e-12)
 
 
 def test_gains_are_at_equal_standard_error(tmp_path: Path) -> None:

@@ -37,8 +37,8 @@ COMPARED = {
         lambda _: (Resolution(longer=4), Resolution(longer=2), Resolution()), free
     ),
     'halves': Estimator(_with_halves, free),
+    'single': Estimator(ESTIMATORS['multilevel'].chain, free),
     'multilevel': ESTIMATORS['multilevel'],
-    'multilevel antithetic': Estimator(ESTIMATORS['multilevel'].chain, free, antithetic=True),
 }
 _UNLIMITED = 10**6
 
