@@ -153,7 +153,6 @@ def _figure(results: Results, sigmas: list[float], figures: Path) -> str:
     )  # fmt: skip
     left.set_title(f'σ = {_SHOWN:g}', fontsize=9)
     right.set(yscale='log', xlabel='σ [m/s^1.5]', ylabel='plain / estimator, CPU time')
-    figure.legend(
-        *left.get_legend_handles_labels(), fontsize=7, loc='outside right', frameon=False
-    )
+    handles, labels = right.get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc='outside right center', frameon=False)
     return save(figure, figures / 'sampling.png')
