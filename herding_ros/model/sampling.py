@@ -260,4 +260,4 @@ ESTIMATORS = {
     'multilevel': Estimator(lambda fine: (alone(fine), Resolution()), free, antithetic=True),
     'plain': Estimator(),
 }
-"""What a controller can be told: the cheapest that we know, and common Monte Carlo."""
+"""What a controller can be told: the cheapest under much noise, and common Monte Carlo."""
