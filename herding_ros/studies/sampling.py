@@ -21,7 +21,11 @@ _STANDARD_ERROR = 1e-3
 _SHOWN = 0.03
 _OURS = 'multilevel'
 _GOAL = 5.0
-_COSTS = {'first': 'CPU time, first evaluation', 'again': 'CPU time, later', 'work': 'weighted path-steps'}
+_COSTS = {
+    'first': 'CPU time, first evaluation',
+    'again': 'CPU time, later',
+    'work': 'weighted path-steps',
+}
 _WORDS = {
     'plain': 'plain',
     'antithetic': 'antithetic pairs',

@@ -23,8 +23,8 @@ def spread(run: Run) -> float:
     return float(each[-1] / each[0])
 
 
-# With two dogs some flocks overshoot the goal and come back late: of 30 with 20 sheep nine took more
-# than 100 s, with either estimator and without mapping alike. Which ones do is chance.
+# With two dogs some flocks overshoot the goal and come back late: of 30 with 20 sheep nine took
+# more than 100 s, with either estimator and without mapping alike. Which ones do is chance.
 RUNS = [
     (World(), (0.5, 0.5), 60.0),
     (World(dogs=3, seed=4), (1.0, 1.0), 120.0),
