@@ -92,7 +92,12 @@ GOALS = (
     Goal(
         '`scripts/herd`, three processes: simulated seconds per second',
         20.0,
-        lambda results: results.values('factors', 'herd'),
+        lambda results: results.values('factors', 'herd', herded=30),
+    ),
+    Goal(
+        '`scripts/herd --sheep 10000 --dogs 6`, replans apart: simulated seconds per second',
+        1.0,
+        lambda results: results.values('without_solving', 'herd', herded=10_000),
     ),
     Goal(
         'Value and gradient from N = 100 to N = 1000, M = 5: exponent of N',

@@ -213,14 +213,22 @@ def jitter(results: Results) -> str:
 
 def herd(results: Results) -> str:
     """Return the runs of the whole system."""
-    columns = 'simulated', 'wall', 'factors', 'seconds'
+    columns = 'simulated', 'wall', 'solving', 'factors', 'without_solving', 'seconds'
     rows = [
-        tuple(map(significant, run))
+        (
+            f'{entry["herded"]:,}', str(entry['dogs']), *map(significant, run),
+            f'{entry["peak"]:.0f}',
+        )
         for entry in results.of('herd')
         for run in zip(*(entry[column] for column in columns), strict=True)
-    ]
-    head = 'simulated [s]', 'wall [s]', 'simulated / wall', 'with start and report [s]'
-    return table(head, rows)
+    ]  # fmt: skip
+    return table(
+        (
+            'N', 'M', 'simulated [s]', 'wall [s]', 'of it replans [s]', 'simulated / wall',
+            'without replans', 'with start and report [s]', 'largest process [MiB]',
+        ),
+        rows,
+    )  # fmt: skip
 
 
 def memory(results: Results) -> str:
