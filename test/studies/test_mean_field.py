@@ -5,8 +5,8 @@ import pytest
 
 from herding_ros.control.parameters import Control
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import noise_paths
 from herding_ros.model.flock import centre
+from herding_ros.model.noise import noise_paths
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.studies import mean_field as study
 from herding_ros.studies.experiments import EXPERIMENTS
