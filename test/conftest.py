@@ -19,8 +19,26 @@ settings.register_profile(
 )
 settings.load_profile('repeatable')
 
+TIMED = {
+    'test_controller', 'test_endurance', 'test_faults', 'test_herd', 'test_hostile',
+    'test_recorder_faults', 'test_rivals', 'test_sim',
+}  # fmt: skip
+"""Files of tests that start nodes and look at the clock."""
+
 STORE = get_typestore(Stores.ROS2_JAZZY)
 CLOUD = np.dtype([('id', '<u4'), *((name, '<f4') for name in ('x', 'y', 'z', 'vx', 'vy', 'vz'))])
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Say what stays together where two processes share the tests, as in scripts/test.
+
+    Those that look at the clock take longest, go first and stay in one process: two at a time
+    would be in each other's way.
+    """
+    for item in items:
+        name = item.path.stem
+        item.add_marker(pytest.mark.xdist_group('timed' if name in TIMED else name))
+    items.sort(key=lambda item: item.path.stem not in TIMED)
 
 
 class RunRecorder:

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 from numba import njit
 import numpy as np
-from scipy.interpolate import BSpline
 
 from .state import Array
 
@@ -31,10 +30,17 @@ def _spline_pieces() -> tuple[tuple[float, ...], ...]:
     Powers ascend. Seen from a point at u beyond a mesh point, piece ORDER - 1 - q is the weight
     of the q-th mesh point from there.
     """
-    spline = BSpline.basis_element(np.arange(ORDER + 1.0))
+    # B(x) = sum_k (-1)^k C(n, k) max(x - k, 0)^(n-1) / (n-1)! (Schoenberg 1946), in integers.
+    n = ORDER
+
+    def coefficient(left: int, power: int) -> float:
+        terms = (
+            (-1) ** k * math.comb(n, k) * (left - k) ** (n - 1 - power) for k in range(left + 1)
+        )
+        return math.comb(n - 1, power) * sum(terms) / math.factorial(n - 1)
+
     return tuple(
-        tuple(float(spline(left, power)) / math.factorial(power) for power in range(ORDER))
-        for left in range(ORDER)
+        tuple(coefficient(left, power) for power in range(ORDER)) for left in range(ORDER)
     )
 
 

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
-import scipy.fft
 
 from . import mesh_kernels, pair_kernels
 from .mesh_kernels import Mesh, ORDER
@@ -43,24 +42,31 @@ _PARTS = 4
 """Parts of the flock that may be done at a time: a constant, since sums depend on it."""
 
 
+def _fft() -> Any:
+    # Imported where it is needed: nodes would start later by two tenths of a second.
+    import scipy.fft
+
+    return scipy.fft
+
+
 @cache
 def split(potential: Potential, reach: float) -> tuple[Near, Polynomial]:
     """Return the near part's slope, and the smooth part within the reach [m].
 
     The slope as coefficients of powers of r, the smooth part as a polynomial of (r / reach)^2.
     """
-    slope = reach * Chebyshev.interpolate(
-        lambda z: potential.derivative(reach * z), 24, domain=[0.5, 1.5]
-    )
+    # NumPy's annotations know arrays of one dimension only, and not in all versions.
+    interpolate: Any = Chebyshev.interpolate
+    slope = reach * interpolate(lambda z: potential.derivative(reach * z), 24, domain=[0.5, 1.5])
     wanted = [float(potential.value(np.array(reach)))]
     wanted += [float(slope.deriv(k)(1.0)) for k in range(_SMOOTHNESS - 1)]
     smooth = Polynomial(np.linalg.solve(_DERIVATIVES, wanted))
     smooth_slope = smooth.deriv()
 
-    def near_slope(z: Array) -> Array:
+    def near_slope(z: Array) -> Any:
         return potential.derivative(reach * z) - 2.0 * z / reach * smooth_slope(z * z)
 
-    fitted = Chebyshev.interpolate(near_slope, 15, domain=[0.0, 1.0])
+    fitted = interpolate(near_slope, 15, domain=[0.0, 1.0])
     powers_of_z = Polynomial.cast(fitted, domain=[-1.0, 1.0], window=[-1.0, 1.0]).coef
     near = np.zeros(16)
     near[: len(powers_of_z)] = powers_of_z
@@ -129,7 +135,7 @@ class ParticleMesh:
     def padded(self) -> tuple[int, int]:
         """Mesh points with those that keep the periods of the FFT apart."""
         rows, columns = (
-            2 * scipy.fft.next_fast_len(points + _WRAP // 2, real=True) for points in self.shape
+            2 * _fft().next_fast_len(points + _WRAP // 2, real=True) for points in self.shape
         )
         return rows, columns
 
@@ -149,7 +155,7 @@ class ParticleMesh:
         rows, columns = (
             np.minimum(np.arange(points), points - np.arange(points)) for points in self.padded
         )
-        transform = scipy.fft.rfft2(quadrant[rows][:, columns]).real
+        transform = _fft().rfft2(quadrant[rows][:, columns]).real
         transform *= factors[0][rows][:, None] * factors[1]
         return transform / self.n
 
@@ -254,11 +260,11 @@ class ParticleMesh:
         points = np.zeros((rows, columns))
         for first, found in self.run(of_part, flock.parts):
             points[first : first + len(found)] += found
-        waves = scipy.fft.rfft(points, padded_columns, axis=1)
-        waves = scipy.fft.fft(waves, padded_rows, axis=0, overwrite_x=True)
+        waves = _fft().rfft(points, padded_columns, axis=1)
+        waves = _fft().fft(waves, padded_rows, axis=0, overwrite_x=True)
         waves *= self._influence
-        waves = scipy.fft.ifft(waves, axis=0, overwrite_x=True)[:rows]
-        field = scipy.fft.irfft(waves, padded_columns, axis=1, overwrite_x=True)
+        waves = _fft().ifft(waves, axis=0, overwrite_x=True)[:rows]
+        field = _fft().irfft(waves, padded_columns, axis=1, overwrite_x=True)
         return Mesh(cells.x0, cells.y0, per_length, padded_columns, 0), field.reshape(-1)
 
     def _sum(

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import kernels
 from .crowd import Crowd
-from .dynamics import physics, rollout
+from .dynamics import physics, rollout, to_lanes
 from .ensemble import expected_positions
 from .noise import noise_paths
 from .particle_mesh import ParticleMesh
@@ -16,19 +16,25 @@ from .potentials import Mollified, Morse
 from .sampling import FineModel, free, linear, Resolution
 from .state import HerdState
 
+_STATE = HerdState(np.eye(2), np.zeros((2, 2)), np.ones((1, 2)))
+_CONTROL = np.zeros((1, 1, 2))
+
+
+def warm_up_rollout(crowd: Crowd | None = None) -> float:
+    """Call what a simulation calls, on a tiny herd; return the seconds it took."""
+    started = time.perf_counter()
+    rollout(crowd or Crowd(), _STATE, _CONTROL, 0.01)
+    return time.perf_counter() - started
+
 
 def warm_up(crowd: Crowd | None = None) -> float:
-    """Call every kernel once on a tiny herd; return the seconds it took."""
+    """Call what a controller calls, on a tiny herd; return the seconds it took."""
     started = time.perf_counter()
-    crowd = crowd or Crowd()
-    state = HerdState(np.eye(2), np.zeros((2, 2)), np.ones((1, 2)))
-    u = np.zeros((1, 1, 2))
-    noise = noise_paths(np.random.default_rng(0), crowd, 2, 0.01, 1, 1)
+    crowd, state, u = crowd or Crowd(), _STATE, _CONTROL
     trajectory = rollout(crowd, state, u, 0.01)
-    expected_positions(crowd, state, u, 0.01, 1, noise)
     fine = FineModel(crowd, state, 0.01, 1)
     paths = fine.draw(np.random.default_rng(0), 1)
-    for sampler in (Resolution().sampler(fine, u), free(fine, u), linear(fine, u)):
+    for sampler in (Resolution().sampler(fine, u), free(fine, u)):
         sampler(paths)
     source = np.zeros_like(trajectory.xs)
     kernels.times(source[0], source[0, 0], source[0, :, 0].copy())
@@ -38,13 +44,25 @@ def warm_up(crowd: Crowd | None = None) -> float:
     rows = np.zeros((1, 2, kernels.PATHS))
     kernels.centre_adjoints(trajectory.xs, trajectory.ds, nodes, 1, physics(crowd, 2, 0.01), rows)
     kernels.adjoint(trajectory.xs, trajectory.ds, source, 1, physics(crowd, 2, 0.01), u.copy())
+    return time.perf_counter() - started
+
+
+def warm_up_all() -> float:
+    """Call every kernel on a tiny herd; return the seconds it took."""
+    started = time.perf_counter()
+    # The second is what the mean-field limit of a large flock needs: sheep known by a table.
+    for crowd in (Crowd(), Crowd(sheep=Mollified(Morse()))):
+        warm_up(crowd)
+    crowd, state, u = Crowd(), _STATE, _CONTROL
+    noise = noise_paths(np.random.default_rng(0), crowd, 2, 0.01, 1, 1)
+    expected_positions(crowd, state, u, 0.01, 1, noise)
+    linear(FineModel(crowd, state, 0.01, 1), u)(noise.blocks[0])
+    x = to_lanes(state.x)
     mesh = ParticleMesh(crowd.sheep, 2, np.array([-1.0, -1.0]), np.array([3.0, 3.0]), 0.4, 0.1)
-    mesh.gradients(trajectory.xs[0])
-    mesh.hessian_products(trajectory.xs[0], trajectory.xs[0])
+    mesh.gradients(x)
+    mesh.hessian_products(x, x)
     return time.perf_counter() - started
 
 
 if __name__ == '__main__':
-    # The second is what the mean-field limit of a large flock needs: sheep known by a table.
-    seconds = warm_up() + warm_up(Crowd(sheep=Mollified(Morse())))
-    print(f'kernels ready after {seconds:.1f} s')
+    print(f'kernels ready after {warm_up_all():.1f} s')

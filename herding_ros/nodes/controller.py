@@ -30,6 +30,7 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.state import Array, HerdState
+from herding_ros.model.warmup import warm_up
 
 from . import messages
 from .background import Work
@@ -117,7 +118,7 @@ class Controller(HerdingNode):
         self._next: Playing | None = None  # the one that waits for its window
         self._start_anew()
         self._plans = self._missed = self._failed = 0
-        self.load_kernels()
+        self.load_kernels(warm_up)
 
         create = partial(
             self.create_publisher, publisher_class=CountingPublisher, event_callbacks=UNWATCHED

@@ -26,7 +26,6 @@ from rosgraph_msgs.msg import Clock
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import check, describe_limits, Parameters, quantity
 from herding_ros.model.scenario import GOAL
-from herding_ros.model.warmup import warm_up
 
 from .refusals import Refusals, Refused
 
@@ -79,8 +78,8 @@ class HerdingNode(Node):
         )
         self.set_descriptor('use_sim_time', descriptor)
 
-    def load_kernels(self) -> None:
-        """Make the model's kernels ready; it may take half a minute the first time."""
+    def load_kernels(self, warm_up: Callable[[], float]) -> None:
+        """Make compiled kernels ready; it may take half a minute the first time."""
         self.get_logger().info('loading kernels, which are compiled the first time')
         self.get_logger().info(f'kernels loaded in {warm_up():.1f} s')
 

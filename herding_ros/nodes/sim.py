@@ -23,6 +23,7 @@ from herding_ros.model.flock import distance, spread
 from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
+from herding_ros.model.warmup import warm_up_rollout
 
 from . import messages
 from .inbox import Inbox
@@ -74,7 +75,7 @@ class Sim(HerdingNode):
         self._settings = declare(self, SimSettings(), live=LIVE)
         self._crowd = declare_crowd(self, live=LIVE)
         self._world = declare(self, World())
-        self.load_kernels()
+        self.load_kernels(warm_up_rollout)
         self._goal = np.array(self._settings.goal)
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._paused = False

@@ -17,6 +17,7 @@ from herding_ros.studies import common_noise
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.case import Case
 from herding_ros.studies.experiments.settings import differences
+from herding_ros.studies.runs import PLAIN
 from herding_ros.studies.study import Options, Results
 
 SHORT = Horizon(length=8.0, accepted=4.0)
@@ -78,7 +79,9 @@ def made_up() -> Results:
         given = task.parameters
         share, seed = given['common_noise'], given['seed']
         if task.kind == 'herding':
-            time = None if share and not given['settings'] and seed == 0 else 40.0 + seed + share
+            time = (
+                None if share and given['settings'] == PLAIN and seed == 0 else 40.0 + seed + share
+            )
             run = {'arrived': time is not None, 'time': time, 'max_spread': 0.5 - 0.25 * share}
             entries.append((task, run))
             continue
