@@ -387,6 +387,13 @@ def _subtract_pull_of_pair(
 
 
 @_kernel
+def _subtract_pulls_in_paths(ax: Array, ay: Array, x: Array, y: Array, p: PotentialForm) -> None:
+    for i in range(0, x.shape[0], PATHS):
+        for j in range(0, i, PATHS):
+            _subtract_pull_of_pair(ax, ay, x, y, i, j, p)
+
+
+@_kernel
 def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> None:
     """Do what `acceleration` does for PATHS paths at once: x, out[2, sheep * PATHS].
 
@@ -396,9 +403,13 @@ def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> N
     """
     out[:] = 0.0
     group = physics.n * PATHS
-    for i in range(0, x.shape[1], PATHS):
-        for j in range(i // group * group, i, PATHS):
-            _subtract_pull_of_pair(out[0], out[1], x[0], x[1], i, j, physics.sheep)
+    if physics.n > 1:
+        for first in range(0, x.shape[1], group):
+            # Seen from the start of the group no index is negative.
+            _subtract_pulls_in_paths(
+                out[0, first : first + group], out[1, first : first + group],
+                x[0, first : first + group], x[1, first : first + group], physics.sheep,
+            )  # fmt: skip
     subtract_pulls(out[0], out[1], x[0], x[1], d, physics.dog)
 
 
