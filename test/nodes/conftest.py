@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
 import itertools
 import os
@@ -35,6 +35,18 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     return number
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Show, with a test that failed, the last words of all processes that it started."""
+    report = yield
+    folder = getattr(item, 'funcargs', {}).get('tmp_path')
+    if report.failed and folder is not None:
+        for file in sorted(folder.rglob('*.log')):
+            words = file.read_text(errors='replace').splitlines()[-30:]
+            report.sections.append((f'{file.relative_to(folder)}', '\n'.join(words)))
+    return report
 
 
 class Process:
