@@ -104,7 +104,7 @@ def _read(reader: AnyReader, folder: Path, metadata: dict[str, Any]) -> Run:
         d=np.stack([_track(series[topic], start, times) for topic in dogs], axis=1),
         command_times=command_times,
         commands=commands,
-        goal=_goal(series['/goal_pose'], parameters, folder),
+        goal=_goal(series, parameters, folder),
         replans=_replans(series['/diagnostics'], start),
         parameters=parameters,
         version=custom_data.get('herding_ros_version', ''),
@@ -178,24 +178,31 @@ def _seconds(series: Series, start: int) -> Array:
     return np.array([ns - start for ns, _ in series], np.float64) * 1e-9
 
 
-def _goal(poses: Series, parameters: dict[str, dict[str, Any]], folder: Path) -> Array:
-    if poses:
+def _goal(
+    series: dict[str, Series], parameters: dict[str, dict[str, Any]], folder: Path
+) -> Array:
+    """Return the last destination (2,) [m]: from a user, by parameter, or the last plan's."""
+    if poses := series['/goal_pose']:
         position = poses[-1][1].pose.position
         return np.array([position.x, position.y])
     goal = parameters.get('/controller', {}).get('goal')
-    if goal is None:
-        raise ValueError(
-            f'the bag {folder} tells of no destination: there is neither a message on /goal_pose '
-            'nor a parameter goal of /controller'
-        )
-    return np.array(goal, np.float64)
+    if goal is not None:
+        return np.array(goal, np.float64)
+    for _, message in reversed(series['/diagnostics']):
+        for values in map(_values, _plans(message)):
+            if 'goal_x' in values and 'goal_y' in values:
+                return np.array([float(values['goal_x']), float(values['goal_y'])])
+    raise ValueError(
+        f'the bag {folder} tells of no destination: there is neither a message on /goal_pose '
+        f'nor a parameter goal of /controller, nor a status "{PLAN_STATUS}" that names it'
+    )
 
 
 def _replans(diagnostics: Series, start: int) -> tuple[Replan, ...]:
     replans: dict[int, Replan] = {}  # by number: a status may be published more than once
     for ns, message in diagnostics:
         for status in _plans(message):
-            values = {pair.key: pair.value for pair in status.values}
+            values = _values(status)
             number = int(values.get('replan', len(replans)))
             replans.setdefault(number, _replan((ns - start) * 1e-9, number, values))
     return tuple(replans.values())
@@ -203,6 +210,10 @@ def _replans(diagnostics: Series, start: int) -> tuple[Replan, ...]:
 
 def _plans(diagnostics: Any) -> list[Any]:
     return [status for status in diagnostics.status if status.name == PLAN_STATUS]
+
+
+def _values(status: Any) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
 
 
 def _replan(time: float, number: int, values: dict[str, str]) -> Replan:

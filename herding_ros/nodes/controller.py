@@ -403,6 +403,8 @@ class Controller(HerdingNode):
             self._dog_paths[m].publish(messages.path(route, spacing, start, frame))
         values = {
             'replan': self._plans,
+            'goal_x': self._planner.goal[0],
+            'goal_y': self._planner.goal[1],
             **messages.report_values(window.report),
             'deadline_margin_s': margin,
             'deadlines_missed': self._missed,

@@ -253,6 +253,8 @@ def _watch(
         console.print(f'{child.name} died (exit code {child.process.returncode}):', style='red')
         console.print(child.last_words(), markup=False, soft_wrap=True)
         return _CHILD_DIED
+    if watcher.finished and not watcher.parameters_known:
+        console.print('the bag lacks the parameters of the nodes', style='red')
     if not watcher.finished:
         console.print('interrupted: closing the bag')
         return _INTERRUPTED

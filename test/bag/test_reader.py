@@ -272,6 +272,16 @@ def test_bag_with_topics_but_no_states_is_told(tmp_path: Path, run_recorder: Any
         read_run(tmp_path / 'bag')
 
 
+def test_plan_says_where_to_when_the_parameters_are_not_known(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    with run_recorder(tmp_path / 'bag', {}) as recorder:
+        write(recorder, arrays)
+        recorder.diagnostics('controller: plan', 0, replan=0, goal_x=9.0, goal_y=9.0)
+        recorder.diagnostics('controller: plan', 1, replan=1, goal_x=0.5, goal_y=-0.25)
+    np.testing.assert_array_equal(read_run(tmp_path / 'bag').goal, [0.5, -0.25])
+
+
 def test_missing_goal_is_told(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
     with run_recorder(tmp_path / 'bag', {}) as recorder:
         write(recorder, arrays)
