@@ -178,9 +178,7 @@ def _seconds(series: Series, start: int) -> Array:
     return np.array([ns - start for ns, _ in series], np.float64) * 1e-9
 
 
-def _goal(
-    series: dict[str, Series], parameters: dict[str, dict[str, Any]], folder: Path
-) -> Array:
+def _goal(series: dict[str, Series], parameters: dict[str, dict[str, Any]], folder: Path) -> Array:
     """Return the last destination (2,) [m]: from a user, by parameter, or the last plan's."""
     if poses := series['/goal_pose']:
         position = poses[-1][1].pose.position

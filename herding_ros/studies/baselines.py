@@ -14,6 +14,7 @@ from .markdown import table
 from .pictures import COLOURS, new, save
 from .runs import (
     paths_of,
+    PLAIN,
     run_task,
     safe,
     SETTINGS,
@@ -36,6 +37,7 @@ _GOAL = [0.5, 0.5]
 _LIMIT = 400.0
 _POLICIES: dict[str, tuple[str, dict[str, Any]]] = {
     'our default': ('planner', SETTINGS['default']),
+    'plain paths': ('planner', PLAIN),
     'without mapping': ('planner', with_mapping(SETTINGS['default'], max_iterations=0)),
     "the paper's setting": ('planner', SETTINGS['paper']),
     'heuristic': ('strombom', {}),

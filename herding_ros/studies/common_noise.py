@@ -28,14 +28,22 @@ SHARES = (0.0, 0.25, 0.5, 1.0)
 _SIGMA = 0.03
 
 _RUN_SIGMAS = (0.01, 0.02)
-_PLANS = {'mapped': PLAIN, 'not mapped': with_mapping(PLAIN, max_iterations=0)}
+_PLANS = {
+    'mapped, multilevel': {},
+    'mapped, plain paths': PLAIN,
+    'not mapped': with_mapping(PLAIN, max_iterations=0),
+}
 """Settings of the controller in whole runs."""
 
+_Way = tuple[str, int]
+"""An estimator of the expected centre, and how many paths it may cost."""
 
-def _settings(paths: int) -> dict[str, Any]:
+
+def _settings(way: _Way) -> dict[str, Any]:
     """Settings of the paper's window with our mapping, four iterations whatever happens."""
+    estimator, paths = way
     mapping = Mapping(
-        'output', 'plain', 0.0, paths=paths, max_iterations=4, accuracy=1e-9
+        'output', estimator, 0.0, paths=paths, max_iterations=4, accuracy=1e-9
     )  # fmt: skip
     return differences(replace(PAPER, mapping=mapping), Control())
 
@@ -44,6 +52,7 @@ def tasks(options: Options) -> list[Task]:
     """Return the same windows under every share, mapped with few and many paths, and runs."""
     quick = options.quick
     few = options.path_number(100)
+    ways = product(('plain', 'multilevel'), (few,) if quick else (few, 10 * few))
     herd = {'sheep': 6 if quick else 30, 'dogs': 2 if quick else 5}
     windows = [
         Task(
@@ -54,14 +63,12 @@ def tasks(options: Options) -> list[Task]:
                 'common_noise': share,
                 'seed': seed,
                 'judge_paths': 16 if quick else 400,
-                'trace': seed == 0 and paths == few and share in (SHARES[0], SHARES[-1]),
-                'control': _settings(paths),
+                'trace': seed == 0 and way == ('plain', few) and share in (SHARES[0], SHARES[-1]),
+                'control': _settings(way),
             },
-            cost=0.1 if quick else 2.5 + 0.0016 * paths,
+            cost=0.1 if quick else 2.5 + 0.0016 * way[1],
         )
-        for paths, share, seed in product(
-            (few,) if quick else (few, 10 * few), SHARES, options.seed_range(10)
-        )
+        for way, share, seed in product(ways, SHARES, options.seed_range(10))
     ]
     runs = [
         _run(paths_of(settings, few), sigma, share, seed, quick)
@@ -80,43 +87,49 @@ def _run(settings: dict[str, Any], sigma: float, share: float, seed: int, quick:
     return replace(task, parameters={**task.parameters, 'common_noise': share})
 
 
-def _paths(parameters: dict[str, Any]) -> int:
-    return int(parameters['control']['mapping'].get('paths', Mapping().paths))
+def _way(parameters: dict[str, Any]) -> _Way:
+    mapping = parameters['control']['mapping']
+    given = {name: mapping.get(name, getattr(Mapping(), name)) for name in ('estimator', 'paths')}
+    return str(given['estimator']), int(given['paths'])
 
 
-def _at(results: Results, paths: int, share: float) -> Results:
+def _at(results: Results, way: _Way, share: float) -> Results:
     windows = results.of('common_noise', common_noise=share)
-    return windows.where(lambda task: _paths(task.parameters) == paths)
+    return windows.where(lambda task: _way(task.parameters) == way)
 
 
 def draw(results: Results, figures: Path) -> Section:
     """Make the table and the picture."""
     windows = results.of('common_noise')
-    numbers = sorted({_paths(task.parameters) for task, _ in windows.entries})
+    ways = sorted({_way(task.parameters) for task, _ in windows.entries}, reverse=True)
     values = {
         'seeds': str(len(results.parameter('seed'))),
         'judge_paths': ', '.join(f'{paths:,}' for paths in windows.parameter('judge_paths')),
-        'table': _table(results, numbers),
+        'table': _table(results, ways),
         'runs': _runs_table(results),
-        'picture': _figure(results, numbers, figures),
+        'picture': _figure(results, ways, figures),
     }
-    return Section(values, _rows(results, numbers))
+    return Section(values, _rows(results, ways))
 
 
-def _table(results: Results, numbers: list[int]) -> str:
+def _words(way: _Way) -> str:
+    return f'{way[1]:,} {way[0]}'
+
+
+def _table(results: Results, ways: list[_Way]) -> str:
     rows = []
-    for paths, share in product(numbers, SHARES):
-        found = _at(results, paths, share)
+    for way, share in product(ways, SHARES):
+        found = _at(results, way, share)
         if len(found):
             keys = ('before', 'after', 'judged_before', 'judged_after')
             cells = [str(Mean.of(found.values(key))) for key in keys]
             unseen = ratios(found, 'judged_after', 'judged_before')
             wander = Mean.of(found.values('wander'))
-            floor = Mean.of([each['wander'] / paths**0.5 for each in found])
-            rows.append((f'{paths:,}', f'{share:g}', *cells, str(unseen), str(floor), str(wander)))
+            floor = Mean.of([each['wander'] / way[1] ** 0.5 for each in found])
+            rows.append((_words(way), f'{share:g}', *cells, str(unseen), str(floor), str(wander)))
     head = (
         'paths', 'share in common', 'before, seen', 'after, seen', 'before, unseen',
-        'after, unseen', 'after / before, unseen', 'error of the mean of so many paths',
+        'after, unseen', 'after / before, unseen', 'error of the plain mean of so many',
         'a single path',
     )  # fmt: skip
     return table(head, rows)
@@ -137,13 +150,13 @@ def _runs_table(results: Results) -> str:
     return table(head, rows)
 
 
-def _figure(results: Results, numbers: list[int], figures: Path) -> str:
-    figure, ((errors, *ways),) = new(3, 1, width=4.0, height=3.2)
-    for colour, paths in zip(COLOURS, numbers, strict=False):
+def _figure(results: Results, ways: list[_Way], figures: Path) -> str:
+    figure, ((errors, *places),) = new(3, 1, width=4.0, height=3.2)
+    for colour, way in zip(COLOURS, ways, strict=False):
         for key, style in (('judged_before', '--'), ('judged_after', '-')):
-            means = [Mean.of(_at(results, paths, share).values(key)) for share in SHARES]
-            word = 'before' if style == '--' else f'after, {paths:,} paths'
-            if style == '-' or paths == numbers[0]:
+            means = [Mean.of(_at(results, way, share).values(key)) for share in SHARES]
+            word = 'before' if style == '--' else f'after, {_words(way)}'
+            if style == '-' or way == ways[0]:
                 errors.errorbar(
                     SHARES, [mean.value for mean in means], [mean.error for mean in means],
                     color=GREY if style == '--' else colour, linestyle=style, label=word,
@@ -151,7 +164,7 @@ def _figure(results: Results, numbers: list[int], figures: Path) -> str:
     errors.set(
         xlabel='share in common', ylabel='error on unseen noise [m s$^{0.5}$]', ylim=(0, None)
     )
-    for place, share in zip(ways, (SHARES[0], SHARES[-1]), strict=True):
+    for place, share in zip(places, (SHARES[0], SHARES[-1]), strict=True):
         place.set_title(f'share in common {share:g}', fontsize=9)
         found = results.of('common_noise', common_noise=share)
         for trace in [each['trace'] for each in found if 'trace' in each]:
@@ -160,19 +173,19 @@ def _figure(results: Results, numbers: list[int], figures: Path) -> str:
             place.plot(*np.transpose(trace['wanted']), color='black', linestyle='--')
         place.set(xlabel='x [m]', ylabel='y [m]')
         place.set_aspect('equal', adjustable='datalim')
-    if numbers:
+    if ways:
         errors.legend(fontsize=7, frameon=False)
     return save(figure, figures / 'common_noise.png')
 
 
-def _rows(results: Results, numbers: list[int]) -> list[Row]:
+def _rows(results: Results, ways: list[_Way]) -> list[Row]:
     rows = []
-    for paths, share in product(numbers, SHARES):
-        found = _at(results, paths, share)
+    for way, share in product(ways, SHARES):
+        found = _at(results, way, share)
         if len(found):
             rows.append(
                 Row(
-                    f'Common noise, share {share:g}, {paths:,} paths: error after mapping',
+                    f'Common noise, share {share:g}, {_words(way)} paths: error after mapping',
                     'not in the paper',
                     str(Mean.of(found.values('judged_after'))),
                     f'on unseen noise, after / before '

@@ -16,7 +16,6 @@ from .runs import (
     failures,
     median_time,
     paths_of,
-    PLAIN,
     safe,
     success,
     SUMMARY,
@@ -43,8 +42,8 @@ _COLOURS = {'as observed': RED, 'filtered': BLUE}
 def _settings(expected: float) -> dict[str, Any]:
     """Settings of a controller that expects so much noise [m and m/s]; 0: no filter."""
     if not expected:
-        return PLAIN
-    return {**PLAIN, 'sensor': {'position_noise': expected, 'velocity_noise': expected}}
+        return {}
+    return {'sensor': {'position_noise': expected, 'velocity_noise': expected}}
 
 
 def _expected(way: str, noise: float) -> float:
