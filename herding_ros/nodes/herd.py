@@ -28,7 +28,7 @@ from herding_ros.report.cli import write_report
 from .running import start_ros
 
 _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED, _INTERRUPTED = 0, 1, 2, 3, 130
-_QUESTIONS = 10.0
+_QUESTIONS = 30.0
 """Time after a run that the recorder gets at most to ask sim and controller for parameters [s]."""
 
 _PATIENCE = 20.0
