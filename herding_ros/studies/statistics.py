@@ -33,12 +33,14 @@ class Mean:
         if math.isnan(self.error) or self.error == 0.0:
             return significant(self.value)
         place = 1 - math.floor(math.log10(self.error))
-        if self.value and abs(self.value) < 1e-2:
-            exponent = math.floor(math.log10(abs(self.value)))
-            scale, place = 10.0**exponent, max(place + exponent, 0)
-            return f'({self.value / scale:.{place}f} ± {self.error / scale:.{place}f})e{exponent}'
-        place = max(place, 0)
-        return f'{self.value:.{place}f} ± {self.error:.{place}f}'
+        largest = max(abs(self.value), self.error)
+        exponent = math.floor(math.log10(largest)) if largest < 1e-2 else 0
+        place = max(place + exponent, 0)
+        value, error = (
+            f'{round(each / 10.0**exponent, place) + 0.0:.{place}f}'
+            for each in (self.value, self.error)
+        )  # 0.0 is added, so that none is -0.0
+        return f'({value} ± {error})e{exponent}' if exponent else f'{value} ± {error}'
 
 
 @dataclass(frozen=True)
