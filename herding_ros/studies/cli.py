@@ -25,7 +25,7 @@ from . import (
     stochasticity,
     symmetry,
 )
-from .reproduction import page, single
+from .reproduction import OF_THEIR_OWN, page, single
 from .runner import compute, Outcome
 from .store import Store
 from .study import Options, Results, Study
@@ -66,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description=(
             "Regenerate the paper's tables and figures, and what goes beyond them.\n\n"
-            f'studies:\n{names}\n  {"all":15}all of these, and one page about them\n\n'
+            f'studies:\n{names}\n  {"all":15}all of these, and the pages about them\n\n'
             'A study is a list of tasks. Each result is kept in a file as soon as it is there,\n'
             'so that an interrupted study goes on where it was, and nothing is computed twice:\n'
             'with all results there, a study only draws. Results of other versions of the code\n'
@@ -198,7 +198,7 @@ def _keep(outcome: Outcome, store: Store, console: Console) -> bool:
 def _write(
     name: str, wanted: dict[str, list[Task]], store: Store, out: Path, console: Console
 ) -> None:
-    """Draw what the stored results hold, and write the page."""
+    """Draw what the stored results hold, and write the page; of all studies, every page."""
     sections, missing = {}, 0
     for each, tasks in wanted.items():
         loaded = [(task, store.load(task)) for task in tasks]
@@ -207,10 +207,15 @@ def _write(
         sections[each] = STUDIES[each].draw(Results(found), out / 'figures')
     if missing:
         console.print(f'{missing} results are missing from what is drawn', style='red')
-    path = out / ('reproduction.md' if name == 'all' else f'{name}.md')
-    content = page(sections) if name == 'all' else single(name, sections[name])
-    path.write_text(content, encoding='utf-8')
-    console.print(f'written: {path}')
+    if name == 'all':
+        pages = {each: single(each, sections[each]) for each in OF_THEIR_OWN}
+        pages['reproduction'] = page(sections)
+    else:
+        pages = {name: single(name, sections[name])}
+    for each, content in pages.items():
+        path = out / f'{each}.md'
+        path.write_text(content, encoding='utf-8')
+        console.print(f'written: {path}')
 
 
 def _duration(seconds: float) -> str:

@@ -22,9 +22,14 @@ _TITLES = {
     'sampling': 'Cost of an expectation',
 }
 
+OF_THEIR_OWN = ('observation', 'evacuation', 'common_noise', 'mean_field', 'sampling')
+"""Studies of what the paper does not show, each with a page of its own."""
+
 
 def page(sections: Mapping[str, Section]) -> str:
-    """Return the page about all studies."""
+    """Return the page about the paper's results, which leads to those about the others."""
+    further = [name for name in sections if name in OF_THEIR_OWN]
+    sections = {name: each for name, each in sections.items() if name not in OF_THEIR_OWN}
     return (
         _fill(
             'reproduction',
@@ -39,6 +44,7 @@ def page(sections: Mapping[str, Section]) -> str:
                     f'## {_TITLES[name]}\n\n{_fill(name, section.values)}'
                     for name, section in sections.items()
                 ),
+                'further': '\n'.join(f'- [{_TITLES[name]}]({name}.md)' for name in further),
             },
         )
         + '\n'
