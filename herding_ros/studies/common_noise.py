@@ -101,7 +101,10 @@ def _at(results: Results, way: _Way, share: float) -> Results:
 def draw(results: Results, figures: Path) -> Section:
     """Make the table and the picture."""
     windows = results.of('common_noise')
-    ways = sorted({_way(task.parameters) for task, _ in windows.entries}, reverse=True)
+    ways = sorted(
+        {_way(task.parameters) for task, _ in windows.entries},
+        key=lambda way: (way[0] != 'plain', way),
+    )
     values = {
         'seeds': str(len(results.parameter('seed'))),
         'judge_paths': ', '.join(f'{paths:,}' for paths in windows.parameter('judge_paths')),

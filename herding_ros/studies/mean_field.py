@@ -262,5 +262,6 @@ def _figure(results: Results, figures: Path) -> str:
             place.plot(n, np.mean(first) * np.sqrt(n[0] / n), color='black', linewidth=0.6)
             place.set(xscale='log', yscale='log')
         place.set(xlabel='N', ylabel=f'error of the {name} [m]')
-    axes[0, 1].legend(fontsize=7, frameon=False)
+    if axes[0, 1].get_legend_handles_labels()[0]:
+        axes[0, 1].legend(fontsize=7, frameon=False)
     return save(figure, figures / 'mean_field.png')

@@ -90,6 +90,8 @@ def made_up() -> Results:
             'judged_after': 0.008 * (1.0 + share) + 0.001 * (seed - 1), 'uncertainty': 0.001,
             'wander': 0.2 + 0.8 * share + 0.02 * (seed - 1),
         }  # fmt: skip
+        if given['control']['mapping'].get('estimator') != 'plain':
+            result['judged_after'] = 0.004
         if given['trace']:
             result['trace'] = {'wanted': [[0, 0], [1, 1]], 'singles': [[[0, 0], [1, share]]] * 2}
         entries.append((task, json.loads(json.dumps(result))))
@@ -99,16 +101,19 @@ def made_up() -> Results:
 def test_page_tells_what_the_results_say(tmp_path: Path) -> None:
     section = common_noise.draw(made_up(), tmp_path)
     lines = section.values['table'].splitlines()
-    assert len(lines) == 2 + 2 * len(common_noise.SHARES)
-    (line,) = [each for each in lines if each.startswith('| 100 | 1 |')]
+    assert len(lines) == 2 + 4 * len(common_noise.SHARES)
+    (other,) = [each for each in lines if each.startswith('| 1,000 multilevel | 0.25 |')]
+    assert '| 4.00e-3 |' in other
+    (line,) = [each for each in lines if each.startswith('| 100 plain | 1 |')]
     assert '| 0.01600 ± 0.00058 | 0.2000 ± 0.0072 | 0.1000 ± 0.0012 | 1.000 ± 0.012 |' in line
     assert (tmp_path / 'common_noise.png').stat().st_size > 10_000
-    assert len(section.rows) == 8
+    assert len(section.rows) == 16
     assert section.values['seeds'] == '3'
-    *_, mapped, plain = section.values['runs'].splitlines()
-    assert mapped.startswith('| 0.02 | 1 | mapped | 2 of 3 ')
-    assert plain.startswith('| 0.02 | 1 | not mapped | 3 of 3 ')
-    assert plain.endswith('| 42.0 (less to more) | 0.250 |')
+    *_, multilevel, plain, without = section.values['runs'].splitlines()
+    assert multilevel.startswith('| 0.02 | 1 | mapped, multilevel | 3 of 3 ')
+    assert plain.startswith('| 0.02 | 1 | mapped, plain paths | 2 of 3 ')
+    assert without.startswith('| 0.02 | 1 | not mapped | 3 of 3 ')
+    assert without.endswith('| 42.0 (less to more) | 0.250 |')
 
 
 def test_the_same_flocks_under_every_share() -> None:
@@ -117,7 +122,7 @@ def test_the_same_flocks_under_every_share() -> None:
         rest = {k: v for k, v in task.parameters.items() if k not in ('seed', 'trace')}
         seeds.setdefault(json.dumps([task.kind, rest]), []).append(task.parameters['seed'])
     assert all(each == [0, 1] for each in seeds.values())
-    assert len(seeds) == 2 * len(common_noise.SHARES) + 2 * 2 * 2
+    assert len(seeds) == 2 * 2 * len(common_noise.SHARES) + 3 * 2 * 2
     assert sum(task.parameters.get('trace', False) for task in tasks) == 2
 
 
