@@ -28,7 +28,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from .parameters import HerdingNode
-from .shared_memory import remove_what_nobody_uses
+from .shared_memory import remove_half_made_ports
 from .topic_qos import asks_more
 
 CLOCK = '/clock'
@@ -73,7 +73,7 @@ def start_ros(args: list[str] | None = None) -> None:
     """
     settings = str(Path(__file__).with_name('fastdds.xml'))
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', settings)
-    remove_what_nobody_uses()
+    remove_half_made_ports()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
 
 

@@ -125,16 +125,6 @@ def wait_until(condition: Callable[[], object]) -> None:
 # Kills.
 
 
-@pytest.fixture
-def no_shared_memory(domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let processes talk over the loopback alone.
-
-    What a killed process leaves in shared memory can hold up those that live, and for good those
-    that start, as if it were still at work there.
-    """
-    monkeypatch.setenv('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
-
-
 def kept_waiting(process: Any) -> float:
     """How long the threads of a process were ready and got no processor, in all [s]."""
     files = Path(f'/proc/{process.process.pid}/task').glob('*/schedstat')
@@ -148,7 +138,6 @@ def written(folder: Path) -> int:
 
 
 def test_ten_kills_cost_less_than_a_tenth_of_a_second(
-    no_shared_memory: None,
     start: Callable[..., Any],
     count: Callable[..., Counter],
     tmp_path: Path,
@@ -191,7 +180,7 @@ def test_ten_kills_cost_less_than_a_tenth_of_a_second(
 
 
 def test_kill_costs_no_more_of_a_slow_topic(
-    no_shared_memory: None, start: Callable[..., Any], peer: Any, tmp_path: Path
+    start: Callable[..., Any], peer: Any, tmp_path: Path
 ) -> None:
     recorder = start('recorder', bag=tmp_path / 'bag', topics='["/slow"]')
     publisher = peer.talk_to(String, '/slow')
@@ -206,7 +195,6 @@ def test_kill_costs_no_more_of_a_slow_topic(
 
 
 def test_kill_of_a_bag_of_several_files(
-    no_shared_memory: None,
     start: Callable[..., Any],
     count: Callable[..., Counter],
     tmp_path: Path,
