@@ -28,7 +28,6 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from .parameters import HerdingNode
-from .shared_memory import remove_half_made_ports
 from .topic_qos import asks_more
 
 CLOCK = '/clock'
@@ -68,12 +67,11 @@ _FAREWELL = 1.0
 def start_ros(args: list[str] | None = None) -> None:
     """Initialise rclpy; signals are left to the caller.
 
-    Fast DDS reads our settings, unless the user has some: they change how often a node says
-    that it is there, and nothing about how others talk with it.
+    Fast DDS reads our settings (fastdds.xml, which says why), unless the user has some. Nodes with
+    and without them talk with each other.
     """
     settings = str(Path(__file__).with_name('fastdds.xml'))
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', settings)
-    remove_half_made_ports()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
 
 

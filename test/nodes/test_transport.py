@@ -1,0 +1,78 @@
+"""How messages travel: not by shared memory, where who is killed takes others along."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+import signal
+import time
+from typing import Any
+
+import pytest
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+FOLDER = Path('/dev/shm')
+HALF_MADE = bytes(52_400)
+
+
+def shared_ports(pid: int) -> set[str]:
+    """The files by which a process talks with others in shared memory."""
+    maps = Path(f'/proc/{pid}/maps').read_text().splitlines()
+    return {line.split()[-1] for line in maps if '/fastrtps_port' in line}
+
+
+def test_nodes_have_no_lock_in_common(start: Callable[..., Any], tmp_path: Path) -> None:
+    """A node that is killed while it holds the lock of a port stops all that send to it for 1 s."""
+    recorder = start('recorder', bag=tmp_path / 'bag', topics='["/plan"]')
+    sim = start('sim', sheep=3, dogs=1, real_time_factor=10.0)
+    controller = start('controller', dogs=1, use_sim_time=True)
+    recorder.wait_for('recording into')
+    bag, end = tmp_path / 'bag' / 'bag_0.mcap', time.monotonic() + 60.0
+    while b'dog_1' not in bag.read_bytes():  # all have heard each other
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    for node in (sim, controller, recorder):
+        assert shared_ports(node.process.pid) == set()
+
+
+def test_ports_are_seen_where_there_are_some(peer: Any, start: Callable[..., Any]) -> None:
+    """A node with settings of its own, as the peer, is spoken with as it wants to be."""
+    received = peer.listen(MultiDOFJointTrajectory, '/plan')
+    start('sim', sheep=3, dogs=1, real_time_factor=10.0)
+    controller = start('controller', dogs=1, use_sim_time=True)
+    peer.spin_until(lambda: received)
+    assert shared_ports(controller.process.pid) != set()
+
+
+@pytest.fixture
+def half_made(domain: int) -> Iterator[list[Path]]:
+    """Ports that were killed while they were made, numbered as DDSI-RTPS says."""
+    files = [FOLDER / f'fastrtps_port{7400 + 250 * domain + k}' for k in range(30)]
+    files = [file for file in files if not file.exists()]
+    for file in files:
+        file.write_bytes(HALF_MADE)
+    yield files
+    for file in files:
+        file.unlink(missing_ok=True)
+
+
+def test_half_made_ports_stop_nobody(half_made: list[Path], start: Callable[..., Any]) -> None:
+    """A node that opens one waits for it to be finished, for ever."""
+    assert half_made
+    process = start('sim', sheep=3, dogs=1)
+    process.wait_for('herding 3 sheep')
+    assert process.end() == 0
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGKILL])
+def test_who_comes_after_another_hears_all(
+    number: int, start: Callable[..., Any], peer: Any
+) -> None:
+    """The next node gets the ports of the one that has gone, which the sim still knows."""
+    start('sim', sheep=3, dogs=1, real_time_factor=10.0).wait_for('herding 3 sheep')
+    plans = peer.listen(MultiDOFJointTrajectory, '/plan')
+    for _ in range(3):
+        plans.clear()
+        controller = start('controller', dogs=1, use_sim_time=True)
+        peer.spin_until(lambda: len(plans) > 1)
+        controller.end(number)
