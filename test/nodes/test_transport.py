@@ -22,7 +22,7 @@ def shared_ports(pid: int) -> set[str]:
 
 
 def test_nodes_have_no_lock_in_common(start: Callable[..., Any], tmp_path: Path) -> None:
-    """A node that is killed while it holds the lock of a port stops all that send to it for 1 s."""
+    """Who is killed while holding the lock of a port stops all that send to it for 1 s."""
     recorder = start('recorder', bag=tmp_path / 'bag', topics='["/plan"]')
     sim = start('sim', sheep=3, dogs=1, real_time_factor=10.0)
     controller = start('controller', dogs=1, use_sim_time=True)
