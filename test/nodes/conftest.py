@@ -28,7 +28,7 @@ _FIRST = os.getpid() % 30
 _domains = itertools.cycle([1 + 30 * _WORKER + (_FIRST + k) % 30 for k in range(30)])
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     """Return a ROS domain that no other test uses, on this machine alone."""
     number = next(_domains)

@@ -16,7 +16,6 @@ from benchmark.endurance import endure  # noqa: E402
 PERIODS = 3000
 
 
-@pytest.mark.usefixtures('domain')
 @pytest.mark.timeout(400)
 def test_five_minutes(tmp_path: Path) -> None:
     endured = endure(tmp_path, 0.1 * PERIODS, 100, 6, None, Console(quiet=True))

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-import itertools
 import json
-import os
 from pathlib import Path
 import random
 import re
@@ -41,8 +39,6 @@ RELIABLE = QoSProfile(depth=1000)
 LATCHED = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
-_domains = itertools.cycle(range(72, 80))
-
 
 def wait_until(condition: Callable[[], object]) -> None:
     end = time.monotonic() + LIMIT
@@ -65,7 +61,7 @@ def some_messages(topic: str, count: int) -> list[bytes]:
 class Recording:
     """A recorder process and its bag."""
 
-    def __init__(self, folder: Path, domain: int, *parameters: str) -> None:
+    def __init__(self, folder: Path, *parameters: str) -> None:
         self.path = folder / 'bag'
         self.log = folder / 'log.txt'
         arguments = [f'-p{parameter}' for parameter in (f'bag:={self.path}', *parameters)]
@@ -75,7 +71,6 @@ class Recording:
                 + [word for each in arguments for word in (each[:2], each[2:])],
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
             )
 
     def wait_for_file(self, content: bytes) -> None:
@@ -105,11 +100,6 @@ class Recording:
             return custom
 
 
-@pytest.fixture
-def domain() -> int:
-    return next(_domains)
-
-
 @contextmanager
 def other_node(domain: int, name: str = 'other') -> Iterator[Node]:
     """A node with a participant of its own."""
@@ -128,12 +118,12 @@ def node(domain: int) -> Iterator[Node]:
 
 
 @pytest.fixture
-def record(tmp_path: Path, domain: int) -> Iterator[Callable[..., Recording]]:
+def record(tmp_path: Path) -> Iterator[Callable[..., Recording]]:
     """Start a recorder with the given parameters."""
     started: list[Recording] = []
 
     def start(*parameters: str) -> Recording:
-        started.append(Recording(tmp_path, domain, *parameters))
+        started.append(Recording(tmp_path, *parameters))
         return started[-1]
 
     yield start
@@ -438,13 +428,13 @@ def test_end_before_anything_is_discovered(record: Callable[..., Recording], num
     assert 'Traceback' not in recording.log.read_text()
 
 
-def test_end_at_any_time(tmp_path: Path, domain: int) -> None:
+def test_end_at_any_time(tmp_path: Path) -> None:
     # From the moment the program has taken over the signals.
     generator = random.Random(0)
     for k in range(6):
         folder = tmp_path / str(k)
         folder.mkdir()
-        recording = Recording(folder, domain)
+        recording = Recording(folder)
         ready = partial(takes_signals, recording.process.pid)
         wait_until(ready)
         time.sleep(generator.uniform(0.0, 0.6))
