@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+import re
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -171,6 +172,7 @@ def test_second_herd_says_why_it_ends_and_leaves_the_first_alone(
     second = start('herd', '--real-time', '2', '--out', str(tmp_path / 'two'))
     assert second.wait() == 3
     assert 'died (exit code 2)' in second.log
-    assert 'already; end it, or give this one a namespace or another' in second.log
+    # Rarely one learns of the other's topics only after DISCOVERY; then it has published a little.
+    assert re.search('publishes .* (already|as well); end it, or give this one a', second.log)
     assert first.process.poll() is None, first.log
     assert first.end() == 130
