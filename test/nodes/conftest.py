@@ -92,6 +92,19 @@ class Process:
             time.sleep(0.02)
 
 
+def _wait_until(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < end, 'waited too long'
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def wait_until() -> Callable[[Callable[[], object]], None]:
+    """Return a function that waits for a condition, with a limit; for tests without a node."""
+    return _wait_until
+
+
 @pytest.fixture
 def start(tmp_path: Path, domain: int) -> Iterator[Callable[..., Process]]:
     """Return a function that starts a program, a node with its parameters; ended afterwards."""

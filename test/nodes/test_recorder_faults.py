@@ -33,16 +33,13 @@ import yaml
 
 NUMBERS = '/numbers'
 LOSS = 0.1
-"""What was published longer ago than this is not lost, but for what the disk holds up [s]."""
+"""What was published longer ago than this is not lost, as a rule [s]."""
 
 CHUNK = 64 * 1024
 """More than this is never lost [bytes]."""
 
 NUMBER = 52
 """A message of a counter without ballast in the file of a bag, at most [bytes]."""
-
-LIMIT = 60.0
-"""No condition is waited for any longer [s]."""
 
 IN_TIME = 2.0
 """Time in which the recorder ends after a signal [s]."""
@@ -121,13 +118,6 @@ def recover(folder: Path) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def wait_until(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + LIMIT
-    while not condition():
-        assert time.monotonic() < end, 'waited too long'
-        time.sleep(0.02)
-
-
 # Kills.
 
 
@@ -146,6 +136,7 @@ def written(folder: Path) -> int:
 def test_ten_kills_cost_less_than_a_tenth_of_a_second(
     start: Callable[..., Any],
     count: Callable[..., Counter],
+    wait_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
     generator = random.Random(0)
@@ -205,6 +196,7 @@ def test_kill_costs_no_more_of_a_slow_topic(
 def test_kill_of_a_bag_of_several_files(
     start: Callable[..., Any],
     count: Callable[..., Counter],
+    wait_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
     recorder = start(
