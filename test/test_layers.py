@@ -1,6 +1,8 @@
 import ast
 from collections.abc import Iterator
 from pathlib import Path
+import subprocess
+import sys
 
 import pytest
 
@@ -82,3 +84,14 @@ def test_the_nodes_do_use_ros() -> None:
     assert any(is_ros(module) for module in found)
     assert any(module.startswith('herding_ros.control') for module in found)
     assert any(module.startswith('herding_ros.model') for module in found)
+
+
+@pytest.mark.parametrize(
+    ('program', 'heavy'), [('recorder', ['numba', 'scipy']), ('herd', ['numba', 'matplotlib'])]
+)
+def test_programs_load_only_what_they_need_at_the_start(program: str, heavy: list[str]) -> None:
+    loaded = f'import sys, herding_ros.nodes.{program}; print(*sys.modules)'
+    done = subprocess.run(
+        [sys.executable, '-c', loaded], capture_output=True, text=True, check=True
+    )
+    assert not set(heavy) & set(done.stdout.split())

@@ -35,7 +35,7 @@ from herding_ros.model.warmup import warm_up
 from . import messages
 from .background import Work
 from .observations import Observations, Observed
-from .parameters import declare, declare_crowd, HerdingNode, LIVE_NOISE, NodeSettings
+from .parameters import declare, HerdingNode
 from .rivals import sole_publisher
 from .running import (
     ADJUSTABLE,
@@ -46,6 +46,7 @@ from .running import (
     run,
     UNWATCHED,
 )
+from .settings import declare_crowd, LIVE_NOISE, NodeSettings
 
 LIVE = ('weights.', *LIVE_NOISE, 'horizon.length', 'horizon.accepted', 'max_speed')
 """Parameters that may change while the controller runs; they count from the next plan on."""

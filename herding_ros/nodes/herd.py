@@ -23,7 +23,6 @@ from rich.live import Live
 from rich.text import Text
 
 from herding_ros.model.scenario import GOAL
-from herding_ros.report.cli import write_report
 
 from .running import start_ros
 
@@ -303,6 +302,8 @@ def main(args: list[str] | None = None) -> int:
         console.print('the bag is not complete:', style='red')
         console.print(recorder.last_words(), markup=False, soft_wrap=True)
     if (options.out / 'bag').exists():
+        from herding_ros.report.cli import write_report  # it takes a second to load: not before
+
         try:
             write_report(options.out / 'bag', options.out, console)
         except (OSError, ValueError) as error:

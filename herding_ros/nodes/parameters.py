@@ -23,36 +23,9 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 
-from herding_ros.model.crowd import Crowd, CROWDS
-from herding_ros.model.parameters import check, describe_limits, Parameters, quantity
-from herding_ros.model.scenario import GOAL
+from herding_ros.model.parameters import check, describe_limits, Parameters
 
 from .refusals import Refusals, Refused
-
-LIVE_NOISE = ('crowd.noise', 'crowd.common_noise', 'crowd.noise_field.')
-"""What of the crowd may change while sim and controller run."""
-
-
-@dataclasses.dataclass(frozen=True)
-class NodeSettings(Parameters):
-    """What sim and controller have in common as ROS nodes."""
-
-    goal: tuple[float, float] = quantity(GOAL, 'destination; goal_pose moves it', 'm')
-    frame: str = quantity('map', 'frame of all positions')
-    lockstep: bool = quantity(
-        False,
-        'the sim waits at each control period for the commands that answer its state, '
-        'which the controller stamps as the state is stamped',
-    )
-    stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
-    wait_for: str = quantity('', 'name of a node (a recorder) that must hear everything first')
-
-    def __post_init__(self) -> None:
-        """Check what goes together."""
-        super().__post_init__()
-        if self.lockstep and not self.stamped:
-            raise ValueError('lockstep needs stamped commands: set stamped to true')
-
 
 _P = TypeVar('_P', bound=Parameters)
 
@@ -170,19 +143,6 @@ def declare(node: Node, defaults: _P, prefix: str = '', live: Sequence[str] = ()
         return dataclasses.replace(defaults, **values)
     except ValueError as error:
         raise ValueError(f'parameters {prefix or "of the node"}: {error}') from error
-
-
-@dataclasses.dataclass(frozen=True)
-class _Preset(Parameters):
-    preset: str = quantity(
-        'cohesive', 'where the defaults of crowd.* come from', choices=tuple(CROWDS)
-    )
-
-
-def declare_crowd(node: Node, live: Sequence[str] = ()) -> Crowd:
-    """Declare the crowd: `crowd.preset` gives the defaults of the other `crowd.` parameters."""
-    preset = declare(node, _Preset(), 'crowd.').preset
-    return declare(node, CROWDS[preset], 'crowd.', live)
 
 
 def _declare_field(

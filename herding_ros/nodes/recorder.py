@@ -97,9 +97,9 @@ class Recorder(HerdingNode):
         self._queries: dict[str, ParameterQuery] = {}
         self._parameters_of: dict[str, dict[str, Any]] = {}
         self._waiting: list[Received] = []  # for the first /clock
+        self._for_next_round: list[Received] = []
         self._clock_ns: int | None = None  # the last /clock
         self._sim_time_ns = 0
-        self._wall_time_ns = 0
         self._bytes = 0
         self._lost = 0
         self._paused = False
@@ -136,7 +136,7 @@ class Recorder(HerdingNode):
                 flushed = time.monotonic()
                 self._attempt(bag.flush)
         time.sleep(LAST_MESSAGES)
-        self._write(self._take_all())
+        self._write([*self._take_all(), *self._for_next_round])
         self._attempt(self._write_waiting)
         self._count_lost()
         self._attempt(bag.close)
@@ -245,10 +245,16 @@ class Recorder(HerdingNode):
             tap.destroy()
 
     def _take_all(self) -> list[Received]:
-        # The clock last: whatever has come in before is then of a time that is known.
-        taps = sorted(self._taps.values(), key=lambda tap: tap.topic == CLOCK)
-        received = [message for tap in taps for message in tap.take()]
-        received.sort(key=attrgetter('publish_ns'))
+        """Return what has come in before now, in that order.
+
+        Taps are emptied one after the other. What comes in meanwhile has to wait, or a /clock
+        would be known before messages that came in ahead of it.
+        """
+        now_ns = time.time_ns()
+        taken = [message for tap in self._taps.values() for message in tap.take()]
+        received = [*self._for_next_round, *(m for m in taken if m.receive_ns <= now_ns)]
+        self._for_next_round = [m for m in taken if m.receive_ns > now_ns]
+        received.sort(key=attrgetter('receive_ns'))
         return received
 
     def _write(self, received: list[Received]) -> None:
@@ -261,7 +267,6 @@ class Recorder(HerdingNode):
 
     def _write_in_time(self, received: list[Received]) -> None:
         in_simulation = self._in_simulation
-        self._wall_time_ns = 0
         for message in received:
             if in_simulation and message.topic == CLOCK:
                 self._follow_clock(message.data)
@@ -272,8 +277,7 @@ class Recorder(HerdingNode):
 
     def _write_waiting(self) -> None:
         for message in self._waiting:
-            self._wall_time_ns = max(self._wall_time_ns, message.receive_ns)
-            log_ns = self._wall_time_ns if self._clock_ns is None else self._sim_time_ns
+            log_ns = message.receive_ns if self._clock_ns is None else self._sim_time_ns
             try:
                 self._bag.write(message.topic, message.data, log_ns, message.publish_ns)
                 self._bytes += len(message.data)

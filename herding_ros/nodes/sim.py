@@ -27,7 +27,7 @@ from herding_ros.model.warmup import warm_up_rollout
 
 from . import messages
 from .inbox import Inbox
-from .parameters import declare, declare_crowd, HerdingNode, LIVE_NOISE, NodeSettings
+from .parameters import declare, HerdingNode
 from .refusals import Refused
 from .rivals import sole_publisher
 from .running import (
@@ -39,6 +39,7 @@ from .running import (
     run,
     UNWATCHED,
 )
+from .settings import declare_crowd, LIVE_NOISE, NodeSettings
 
 LIVE = ('real_time_factor', *LIVE_NOISE)
 """Parameters that may change while the sim runs."""

@@ -32,7 +32,8 @@ from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import controller, messages, sim
 from herding_ros.nodes.controller import ControllerSettings
-from herding_ros.nodes.parameters import declare, declare_crowd, HerdingNode
+from herding_ros.nodes.parameters import declare, HerdingNode
+from herding_ros.nodes.settings import declare_crowd
 from herding_ros.nodes.sim import SimSettings
 
 Field = dataclasses.Field[Any]
