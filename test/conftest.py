@@ -20,30 +20,36 @@ settings.register_profile(
 )
 settings.load_profile('repeatable')
 
+TIMED = {
+    'test_controller', 'test_endurance', 'test_faults', 'test_herd', 'test_hostile',
+    'test_recorder_faults', 'test_signals', 'test_sim',
+}  # fmt: skip
+"""Files of tests that start nodes and look at the clock."""
+
 STORE = get_typestore(Stores.ROS2_JAZZY)
 CLOUD = np.dtype([('id', '<u4'), *((name, '<f4') for name in ('x', 'y', 'z', 'vx', 'vy', 'vz'))])
-
-
-def starts_nodes(item: pytest.Item) -> bool:
-    """Whether a test is of those that start processes and look at the clock."""
-    return item.path.parent.name == 'nodes'
 
 
 @pytest.hookimpl(tryfirst=True)  # pytest-xdist looks for groups in the same hook
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Say what stays together where two processes share the tests, as in scripts/test.
 
-    Tests of nodes take longest, go first and stay in one process: two at a time would be in each
-    other's way.
+    Tests that look at the clock take longest, go first and stay in one process: two at a time
+    would be in each other's way.
     """
     for item in items:
-        group = 'nodes' if starts_nodes(item) else item.path.stem
-        item.add_marker(pytest.mark.xdist_group(group))
-    items.sort(key=lambda item: not starts_nodes(item))
+        name = item.path.stem
+        item.add_marker(pytest.mark.xdist_group('timed' if name in TIMED else name))
+    items.sort(key=lambda item: (item.path.stem not in TIMED, not starts_nodes(item)))
+
+
+def starts_nodes(item: pytest.Item) -> bool:
+    """Whether a test is of those that start processes and wait for them."""
+    return item.path.parent.name == 'nodes'
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Let tests that look at no clock give way to those that do."""
+    """Let tests that wait for nobody give way to those that look at the clock."""
     if not starts_nodes(item) and os.nice(0) == 0:
         os.nice(10)
 
