@@ -29,8 +29,8 @@ from .objective import Objective
 from .parameters import Control
 from .plan import Plan
 from .reference import reference
-from .solution import never, OutOfTime, Solution, Status
-from .space_mapping import MappingResult
+from .solution import never, NoTimeFor, OutOfTime, Solution, Status
+from .space_mapping import EXTRACTION, FINE, MappingResult
 from .spg import spg
 
 _T = TypeVar('_T')
@@ -149,23 +149,23 @@ class RecedingHorizon:
             crowd, state = mean_field(crowd, state, markers)
         return CoarseModel(crowd, state, horizon.dt, horizon.substeps)
 
-    def solve(self, state: HerdState, t: float, out_of_time: OutOfTime = never) -> Window:
+    def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
         """Plan the window that starts at t [s] in the given state.
 
-        Once out_of_time says True the best so far is returned, at the latest after the
-        evaluation of a model that is under way.
+        Once no_time_for says True the best so far is returned. It is asked between evaluations
+        of a model, for the one that is next: 'coarse', 'fine' or 'extraction'.
         """
         clock = _Stopwatch()
         control, horizon = self.control, self.control.horizon
         coarse = self.coarse_model(state)
         with clock.phase('coarse'):
-            solution = self._solve_coarse(coarse, t, out_of_time)
+            solution = self._solve_coarse(coarse, t, partial(no_time_for, 'coarse'))
             coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
             wanted = coarse_centre(solution.u)
-        if control.mapping.max_iterations and not out_of_time():
+        if control.mapping.max_iterations and not no_time_for(FINE):
             expectation = self._expectation(state, t)
             mapping, extractions, expected = self._map(
-                coarse, expectation, coarse_centre, solution.u, clock, out_of_time
+                coarse, expectation, coarse_centre, solution.u, clock, no_time_for
             )
         else:
             left_out = Status.OUT_OF_TIME if control.mapping.max_iterations else Status.CONVERGED
@@ -248,7 +248,7 @@ class RecedingHorizon:
         coarse_centre: Callable[[Array], Array],
         u_coarse: Array,
         clock: _Stopwatch,
-        out_of_time: OutOfTime,
+        no_time_for: NoTimeFor,
     ) -> tuple[MappingResult, int, list[Expectation]]:
         """Correct the coarse optimum for the noise.
 
@@ -256,6 +256,7 @@ class RecedingHorizon:
         """
         horizon, mapping = self.control.horizon, self.control.mapping
         gamma = self.control.weights.control
+        no_time_to_extract = partial(no_time_for, EXTRACTION)
         wanted = coarse_centre(u_coarse)
         every = max(round(_NODE_SPACING / horizon.dt), 1)
         calls = 0
@@ -291,7 +292,7 @@ class RecedingHorizon:
                     coarse.inner,
                     _EXTRACTION_TOLERANCE,
                     _EXTRACTION_ITERATIONS,
-                    out_of_time,
+                    no_time_to_extract,
                 )
                 calls += found.calls
                 return found.u
@@ -301,7 +302,7 @@ class RecedingHorizon:
             with clock.phase('extraction'):
                 objective = Objective([Tracking(1.0, 1.0, target)], gamma, u_coarse)
                 limit = self.control.optimiser.max_iterations
-                found = self._optimise(coarse, objective, start, limit, out_of_time)
+                found = self._optimise(coarse, objective, start, limit, no_time_to_extract)
                 calls += found.calls
                 return found.u
 
@@ -321,7 +322,7 @@ class RecedingHorizon:
                 gamma,
                 mapping.accuracy * np.sqrt(horizon.length),
                 mapping.max_iterations,
-                out_of_time,
+                no_time_for,
             )
         else:
             result = space_mapping.aggressive(
@@ -336,7 +337,7 @@ class RecedingHorizon:
                 mapping.tolerance,
                 mapping.min_decrease,
                 mapping.max_iterations,
-                out_of_time=out_of_time,
+                no_time_for=no_time_for,
             )
         return result, calls, expected
 

@@ -14,6 +14,8 @@ Projection = Callable[[Array], Array]
 InnerProduct = Callable[[Array, Array], float]
 OutOfTime = Callable[[], bool]
 """Asked between evaluations; once it says True, the best so far is returned."""
+NoTimeFor = Callable[[str], bool]
+"""The same, asked with the kind of step that is next: steps of one kind take about as long."""
 
 
 class Status(Enum):
@@ -40,7 +42,7 @@ class Solution:
     """Evaluations of value and gradient."""
 
 
-def never() -> bool:
+def never(step: str = '') -> bool:
     """Return False: time without end."""
     return False
 

@@ -14,7 +14,10 @@ import numpy as np
 
 from herding_ros.model.state import Array
 
-from .solution import InnerProduct, never, OutOfTime, Projection, Status
+from .solution import InnerProduct, never, NoTimeFor, Projection, Status
+
+FINE, EXTRACTION = 'fine', 'extraction'
+"""Kinds of steps, for NoTimeFor: a look at the fine model; a search with the coarse one."""
 
 _DAMPING_FACTOR = 10.0
 _SINGULAR = 1e-10
@@ -91,7 +94,7 @@ def aggressive(
     min_decrease: float,
     max_iterations: int,
     quasi_newton: bool = True,
-    out_of_time: OutOfTime = never,
+    no_time_for: NoTimeFor = never,
 ) -> MappingResult:
     """Find u_f with T(u_f) = u_c, where T(u) = extract(fine(u)).
 
@@ -107,15 +110,22 @@ def aggressive(
     """
     scale = math.sqrt(inner(u_coarse, u_coarse)) or 1.0
     broyden = Broyden(inner)
-    u = u_coarse
+    u = extracted = u_coarse
+    step = residual = np.zeros_like(u)
     output = fine(u)
     misfits = [misfit(output)]
     best = (misfits[0], u, output)
-    extracted = extract(output, u_coarse)
-    residual = extracted - u_coarse
-    residuals = [math.sqrt(inner(residual, residual)) / scale]
+    residuals: list[float] = []
     status = Status.ITERATION_LIMIT
     while True:
+        if no_time_for(EXTRACTION):
+            status = Status.OUT_OF_TIME
+            break
+        extracted = extract(output, extracted)
+        previous, residual = residual, extracted - u_coarse
+        if quasi_newton:
+            broyden.update(step, residual - previous)
+        residuals.append(math.sqrt(inner(residual, residual)) / scale)
         if residuals[-1] <= tolerance:
             status = Status.CONVERGED
             break
@@ -124,7 +134,7 @@ def aggressive(
             break
         if len(residuals) > max_iterations:
             break
-        if out_of_time():
+        if no_time_for(FINE):
             status = Status.OUT_OF_TIME
             break
         u_next = project(u - broyden.solve(residual))
@@ -133,11 +143,6 @@ def aggressive(
         misfits.append(misfit(output))
         if misfits[-1] < best[0]:
             best = (misfits[-1], u, output)
-        extracted = extract(output, extracted)
-        previous, residual = residual, extracted - u_coarse
-        residuals.append(math.sqrt(inner(residual, residual)) / scale)
-        if quasi_newton:
-            broyden.update(step, residual - previous)
     return MappingResult(best[1], best[2], status, tuple(residuals), tuple(misfits))
 
 
@@ -150,7 +155,7 @@ def output(
     damping: float,
     accuracy: float,
     max_iterations: int,
-    out_of_time: OutOfTime = never,
+    no_time_for: NoTimeFor = never,
 ) -> MappingResult:
     """Find u_f whose fine output is that of u_coarse in the coarse model, by defect correction.
 
@@ -169,11 +174,14 @@ def output(
     best_misfit = misfits[0]
     status = Status.ITERATION_LIMIT
     while best_misfit > accuracy and len(misfits) <= max_iterations:
-        if out_of_time():
+        if no_time_for(EXTRACTION):
             status = Status.OUT_OF_TIME
             break
         defect = best_output - coarse(best)
         u = match(wanted - defect, best, damping)
+        if no_time_for(FINE):
+            status = Status.OUT_OF_TIME
+            break
         u_output = fine(u)
         misfits.append(misfit(u_output))
         if misfits[-1] < best_misfit:

@@ -6,35 +6,63 @@ from collections.abc import Callable
 import threading
 from typing import Generic, TypeVar
 
-from herding_ros.control.solution import OutOfTime
+from herding_ros.control.solution import NoTimeFor
 
 _T = TypeVar('_T')
 
+_FADING = 0.8
+"""What was seen in the work before counts by this much less in the next one."""
+
+
+class StepTimes:
+    """How long steps of each kind take at most [s], as seen of late; what was not seen is a guess.
+
+    A plan that is made in time says little about the next one, whose dearest steps it may not have
+    needed: so this is carried from work to work.
+    """
+
+    def __init__(self, guess: float) -> None:
+        self._guess = guess
+        self._longest: dict[str, float] = {}
+
+    def expected(self, step: str) -> float:
+        """Return the time that a step of this kind may take [s]."""
+        return self._longest.get(step, self._guess)
+
+    def saw(self, step: str, seconds: float) -> None:
+        """Take note of a step."""
+        self._longest[step] = max(self._longest.get(step, 0.0), seconds)
+
+    def fade(self) -> None:
+        """Let a step that was held up once be forgotten in time."""
+        self._longest = {step: _FADING * seconds for step, seconds in self._longest.items()}
+
 
 class Work(Generic[_T]):
-    """Runs work(out_of_time) in a thread, for something that begins at `start` [s].
+    """Runs work(no_time_for) in a thread, for something that begins at `start` [s].
 
-    `now` tells the time [s]. out_of_time says True, and the work shall return the best that it
-    has, once it is dropped or when another step might end after the start: one as long as the
-    longest so far, between two questions, or `reserve` [s] if that is more. The thread does not
-    keep the process from ending.
+    `now` tells the time [s]. no_time_for(step) says True, and the work shall return the best that
+    it has, once it is dropped or when a step of this kind might end later than `spare` [s] before
+    the start. The thread does not keep the process from ending.
     """
 
     def __init__(
         self,
-        work: Callable[[OutOfTime], _T],
+        work: Callable[[NoTimeFor], _T],
         start: float,
         now: Callable[[], float],
-        reserve: float,
+        times: StepTimes,
+        spare: float = 0.0,
     ) -> None:
         self.start = start
         self.result: _T | None = None
         self.error: Exception | None = None
         self._work = work
         self._now = now
-        self._asked = now()
-        self._reserve = reserve
-        self.longest_step = 0.0
+        self._times = times
+        self._spare = spare
+        self._step: str | None = None  # that is under way
+        self._begun = 0.0  # when it was
         self._dropped = threading.Event()
         self._ended: float | None = None
         self._thread = threading.Thread(target=self._run, name='planner', daemon=True)
@@ -57,17 +85,27 @@ class Work(Generic[_T]):
     @property
     def margin(self) -> float:
         """Time [s] by which it was done before the start; until then, the time that is left."""
-        return self.start - (self._now() if self._ended is None else self._ended)
+        # Whole nanoseconds: what is done at the start, to rounding errors, is in time.
+        return round(self.start - (self._now() if self._ended is None else self._ended), 9)
 
     def _run(self) -> None:
+        self._times.fade()
         try:
-            self.result = self._work(self._is_out_of_time)
+            self.result = self._work(self._has_no_time_for)
         except Exception as error:
             self.error = error
         self._ended = self._now()
+        self._end_step(self._ended)
 
-    def _is_out_of_time(self) -> bool:
+    def _has_no_time_for(self, step: str) -> bool:
         now = self._now()
-        self.longest_step = max(self.longest_step, now - self._asked)
-        self._asked = now
-        return self.dropped or now + max(self.longest_step, self._reserve) >= self.start
+        self._end_step(now)
+        if self.dropped or now + self._times.expected(step) + self._spare > self.start:
+            return True
+        self._step, self._begun = step, now
+        return False
+
+    def _end_step(self, now: float) -> None:
+        if self._step is not None:
+            self._times.saw(self._step, now - self._begun)
+            self._step = None

@@ -25,7 +25,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from herding_ros.control.estimator import Estimator
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
-from herding_ros.control.solution import OutOfTime
+from herding_ros.control.solution import NoTimeFor
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.parameters import quantity, TINY
@@ -33,7 +33,7 @@ from herding_ros.model.state import Array, HerdState
 from herding_ros.model.warmup import warm_up
 
 from . import messages
-from .background import Work
+from .background import StepTimes, Work
 from .observations import Observations, Observed
 from .parameters import declare, HerdingNode
 from .rivals import sole_publisher
@@ -113,7 +113,7 @@ class Controller(HerdingNode):
             self._crowd, self._control.sensor, horizon.control_period, horizon.substeps
         )
         self._stopping = threading.Event()
-        self._longest_step = 0.25 * self._settings.lead  # of the last solve [s]; a guess
+        self._step_times = StepTimes(guess=0.25 * self._settings.lead)
         self._coming: Work[Playing] | None = None  # the plan that is being made
         self._late: Work[Playing] | None = None  # the last one that was not there in time
         self._next: Playing | None = None  # the one that waits for its window
@@ -236,7 +236,7 @@ class Controller(HerdingNode):
         solved = self._playing is None or self._urgent or self._planner.due(t)
         if solved:
             self._prepare_planner()
-            window = self._planner.solve(state, t, self._stopping.is_set)
+            window = self._planner.solve(state, t, lambda _: self._stopping.is_set())
             self._playing = Playing(window, observed.dogs)
         self._command(self._velocities(t), observed.ns)
         if solved and self._playing is not None:
@@ -310,11 +310,14 @@ class Controller(HerdingNode):
         self._prepare_planner()
         planner = self._planner
 
-        def plan(out_of_time: OutOfTime) -> Playing:
-            window = planner.solve(state, start, lambda: out_of_time() or self._stopping.is_set())
+        def plan(no_time_for: NoTimeFor) -> Playing:
+            window = planner.solve(
+                state, start, lambda step: self._stopping.is_set() or no_time_for(step)
+            )
             return Playing(window, observed.dogs)
 
-        self._coming = Work(plan, start, self._now, max(self._longest_step, period))
+        # A period to spare: a clock may tell the time that late, and a plan be taken so.
+        self._coming = Work(plan, start, self._now, self._step_times, spare=period)
 
     def _now(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
@@ -343,7 +346,6 @@ class Controller(HerdingNode):
         if not coming.done:
             return
         self._coming = None
-        self._longest_step = coming.longest_step
         if coming.error is not None:
             self._count_failure(coming.error)
         elif coming.result is not None and not coming.dropped:

@@ -271,7 +271,7 @@ def test_solve_goes_on_from_the_last_plan() -> None:
 def test_out_of_time_plays_the_last_plan_on() -> None:
     planner = RecedingHorizon(Crowd(noise=0.03), SMALL, GOAL)
     first = planner.solve(herd(9, 3), 0.0).plan
-    hurried = planner.solve(herd(9, 3), 3.0, lambda: True)
+    hurried = planner.solve(herd(9, 3), 3.0, lambda _: True)
     assert hurried.report.status is Status.OUT_OF_TIME
     assert hurried.report.mapping_status is Status.OUT_OF_TIME
     assert hurried.report.fine_calls == 0
@@ -287,7 +287,7 @@ def test_each_moment_of_running_out_of_time_leaves_a_plan() -> None:
     for moment in range(200):
         asked = iter(range(1000))
         planner = RecedingHorizon(Crowd(noise=0.03), SMALL, GOAL)
-        window = planner.solve(state, 0.0, lambda asked=asked, k=moment: next(asked) >= k)  # type: ignore[misc]
+        window = planner.solve(state, 0.0, lambda _, asked=asked, k=moment: next(asked) >= k)  # type: ignore[misc]
         assert np.linalg.norm(window.plan.u, axis=2).max() <= SMALL.max_speed * (1 + 1e-12)
         assert window.plan.u.shape == (100, 2, 2)
         objectives.append(window.report.objective)

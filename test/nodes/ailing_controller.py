@@ -9,7 +9,7 @@ import sys
 import time
 
 from herding_ros.control.receding_horizon import RecedingHorizon, Window
-from herding_ros.control.solution import never, OutOfTime
+from herding_ros.control.solution import never, NoTimeFor
 from herding_ros.model.state import HerdState
 from herding_ros.nodes.controller import main
 
@@ -22,13 +22,13 @@ def is_(illness: str) -> bool:
 
 
 def ailing_solve(
-    self: RecedingHorizon, state: HerdState, t: float, out_of_time: OutOfTime = never
+    self: RecedingHorizon, state: HerdState, t: float, no_time_for: NoTimeFor = never
 ) -> Window:
     if is_('broken'):
         raise ArithmeticError('the solver is broken')
     begun = time.monotonic()
-    window = quick_solve(self, state, t, out_of_time)
-    while is_('slow') and not out_of_time():
+    window = quick_solve(self, state, t, no_time_for)
+    while is_('slow') and not no_time_for('sleep'):
         time.sleep(0.01)
     granted = time.monotonic() - begun
     while is_('slow') and time.monotonic() < begun + 3.0 * granted:

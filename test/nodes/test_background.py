@@ -2,28 +2,28 @@ from __future__ import annotations
 
 import threading
 
-from herding_ros.control.solution import OutOfTime
-from herding_ros.nodes.background import Work
+import pytest
+
+from herding_ros.control.solution import NoTimeFor
+from herding_ros.nodes.background import StepTimes, Work
 
 
 class Hours:
-    """A clock that is set by hand, and work that takes so many steps of so long."""
+    """A clock that is set by hand, and work with steps that take so long."""
 
-    def __init__(self, step: float, steps: int) -> None:
+    def __init__(self, *steps: float, **kinds: float) -> None:
         self.time = 0.0
-        self.step = step
-        self.left = steps
+        self.steps = [('step', length) for length in steps] or list(kinds.items())
 
     def now(self) -> float:
         return self.time
 
-    def work(self, out_of_time: OutOfTime) -> int:
-        done = 0
-        while self.left and not out_of_time():
-            self.time += self.step
-            self.left -= 1
-            done += 1
-        return done
+    def work(self, no_time_for: NoTimeFor) -> int:
+        for done, (kind, length) in enumerate(self.steps):
+            if no_time_for(kind):
+                return done
+            self.time += length
+        return len(self.steps)
 
 
 def finished(work: Work[int]) -> Work[int]:
@@ -33,8 +33,8 @@ def finished(work: Work[int]) -> Work[int]:
 
 
 def test_work_that_is_quick_is_done() -> None:
-    hours = Hours(step=1.0, steps=5)
-    work = finished(Work(hours.work, 10.0, hours.now, 0.5))
+    hours = Hours(1.0, 1.0, 1.0, 1.0, 1.0)
+    work = finished(Work(hours.work, 10.0, hours.now, StepTimes(0.5)))
     assert work.result == 5
     assert work.margin == 5.0
     hours.time = 9.0
@@ -42,32 +42,87 @@ def test_work_that_is_quick_is_done() -> None:
 
 
 def test_slow_work_ends_before_a_step_that_would_be_late() -> None:
-    hours = Hours(step=3.0, steps=100)
-    work = finished(Work(hours.work, 10.0, hours.now, 0.5))
+    hours = Hours(*[3.0] * 100)
+    work = finished(Work(hours.work, 10.0, hours.now, StepTimes(0.5)))
     assert work.result == 3  # the fourth would end at 12
     assert work.margin == 1.0
-    assert work.longest_step == 3.0
 
 
-def test_reserve_counts_from_the_first_step_on() -> None:
-    hours = Hours(step=8.0, steps=100)
-    assert finished(Work(hours.work, 10.0, hours.now, 0.5)).margin == 2.0
-    hours.time = 4.0
-    assert finished(Work(hours.work, 10.0, hours.now, 8.0)).result == 0
+def test_what_was_never_seen_takes_as_long_as_was_guessed() -> None:
+    hours = Hours(8.0, 8.0)
+    assert finished(Work(hours.work, 10.0, hours.now, StepTimes(0.5))).margin == 2.0
+    assert finished(Work(hours.work, 10.0, hours.now, StepTimes(8.0))).result == 0
+
+
+def test_there_is_time_to_spare_at_the_end() -> None:
+    for spare, done in [(0.0, 4), (0.1, 3), (2.0, 3), (2.1, 2)]:
+        hours = Hours(*[2.0] * 100)
+        work = finished(Work(hours.work, 8.0, hours.now, StepTimes(2.0), spare))
+        assert work.result == done
+
+
+def test_each_kind_of_step_takes_its_own_time() -> None:
+    """Short steps go on until the end, though a long one would be late by far."""
+    times = StepTimes(1.0)
+    hours = Hours(short=1.0, long=8.0)
+    assert finished(Work(hours.work, 10.0, hours.now, times)).result == 2
+    hours.steps = [('short', 1.0), ('long', 8.0)]
+    hours.time = 3.0
+    assert finished(Work(hours.work, 10.0, hours.now, times)).result == 1
+    hours.steps = [('short', 1.0)] * 100
+    hours.time = 3.0
+    work = finished(Work(hours.work, 10.0, hours.now, times))
+    assert work.result == 7
+    assert work.margin == 0.0
+
+
+def test_last_step_of_a_work_counts_in_the_next_one() -> None:
+    """As when a plan ends with its first look at the fine model, and the next one begins late."""
+    times = StepTimes(0.0)
+    hours = Hours(quick=1.0, last=6.0)
+    finished(Work(hours.work, 10.0, hours.now, times))
+    assert times.expected('last') == 6.0
+    hours.steps = [('quick', 1.0)] * 4 + [('last', 6.0)]
+    hours.time = 0.0
+    work = finished(Work(hours.work, 8.0, hours.now, times))
+    assert work.result == 4
+    assert work.margin == 4.0
+
+
+def test_step_that_was_held_up_once_is_forgotten_in_time() -> None:
+    times = StepTimes(1.0)
+    times.saw('step', 100.0)
+    expected = []
+    for _ in range(30):
+        times.fade()
+        times.saw('step', 1.0)
+        expected.append(times.expected('step'))
+    assert expected[0] == pytest.approx(80.0)
+    assert expected == sorted(expected, reverse=True)
+    assert expected[-1] == 1.0
+
+
+def test_done_at_the_start_is_in_time() -> None:
+    """To rounding errors: 0.1 + 0.2 is more than 0.3."""
+    hours = Hours(0.1, 0.2)
+    work = finished(Work(hours.work, 0.3, hours.now, StepTimes(0.0)))
+    assert work.result == 2
+    assert hours.time > work.start
+    assert work.margin == 0.0
 
 
 def test_dropped_work_ends() -> None:
     begun, dropped = threading.Event(), threading.Event()
 
-    def endless(out_of_time: OutOfTime) -> int:
+    def endless(no_time_for: NoTimeFor) -> int:
         steps = 0
-        while not out_of_time():
+        while not no_time_for('step'):
             begun.set()
             dropped.wait(10.0)
             steps += 1
         return steps
 
-    work = Work(endless, 1e9, lambda: 0.0, 0.0)
+    work = Work(endless, 1e9, lambda: 0.0, StepTimes(0.0))
     assert begun.wait(10.0)
     assert not work.done
     work.drop()
@@ -76,9 +131,9 @@ def test_dropped_work_ends() -> None:
 
 
 def test_error_is_a_result() -> None:
-    def fail(out_of_time: OutOfTime) -> int:
+    def fail(no_time_for: NoTimeFor) -> int:
         raise RuntimeError('no')
 
-    work = finished(Work(fail, 1.0, lambda: 0.0, 0.0))
+    work = finished(Work(fail, 1.0, lambda: 0.0, StepTimes(0.0)))
     assert work.result is None
     assert str(work.error) == 'no'
