@@ -64,14 +64,18 @@ _FAREWELL = 1.0
 """Time in which the last messages are delivered before a node goes [s]."""
 
 
-def start_ros(args: list[str] | None = None) -> None:
-    """Initialise rclpy; signals are left to the caller.
+def use_our_profiles() -> None:
+    """Let Fast DDS read our settings (fastdds.xml, which says why), unless the user has some.
 
-    Fast DDS reads our settings (fastdds.xml, which says why), unless the user has some. Nodes with
-    and without them talk with each other.
+    Nodes with and without them talk with each other.
     """
     settings = str(Path(__file__).with_name('fastdds.xml'))
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', settings)
+
+
+def start_ros(args: list[str] | None = None) -> None:
+    """Initialise rclpy; signals are left to the caller."""
+    use_our_profiles()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
 
 

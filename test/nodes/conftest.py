@@ -16,6 +16,11 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
+from herding_ros.nodes.running import use_our_profiles
+
+# Nodes of the tests send at once again what got lost, and are stopped by nobody who is killed.
+use_our_profiles()
+
 LIMIT = 60.0
 """No condition is waited for any longer [s]."""
 

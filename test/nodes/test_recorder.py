@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 import json
@@ -20,6 +20,7 @@ from mcap.reader import make_reader
 import pytest
 import rclpy
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -136,6 +137,11 @@ def is_heard(publishers: list[Publisher], by: int = 1) -> bool:
     return all(publisher.get_subscription_count() >= by for publisher in publishers)
 
 
+def is_delivered(publishers: Iterable[Publisher]) -> bool:
+    """Whether all reliable messages have arrived, as acknowledged."""
+    return all(publisher.wait_for_all_acked(Duration(seconds=0.1)) for publisher in publishers)
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_every_byte_of_every_topic_is_recorded(
     node: Node, record: Callable[..., Recording], number: int
@@ -159,6 +165,7 @@ def test_every_byte_of_every_topic_is_recorded(
             if k >= 50 or 'latched' not in topic:
                 publisher.publish(sent[topic][k])
         time.sleep(0.001)
+    wait_until(lambda: is_delivered(publishers.values()))
     assert recording.end(number) == 0
 
     read = recording.messages()
@@ -328,6 +335,7 @@ def test_ten_thousand_messages_a_second(node: Node, record: Callable[..., Record
         for topic, publisher in publishers.items():
             publisher.publish(sent[topic][k])
         time.sleep(max(0.0, start + 0.002 * (k + 1) - time.perf_counter()))
+    wait_until(lambda: is_delivered(publishers.values()))
     assert recording.end() == 0
     read = recording.messages()
     assert {topic: read[topic] for topic in sent} == sent

@@ -34,12 +34,16 @@ def test_nodes_have_no_lock_in_common(
         assert shared_ports(node.process.pid) == set()
 
 
-def test_ports_are_seen_where_there_are_some(peer: Any, start: Callable[..., Any]) -> None:
-    """A node with settings of its own, as the peer, is spoken with as it wants to be."""
-    received = peer.listen(MultiDOFJointTrajectory, '/plan')
+def test_strangers_are_spoken_with_as_they_want_to_be(
+    start: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By shared memory, if the middleware is left as it comes."""
+    with monkeypatch.context() as without:
+        without.delenv('FASTRTPS_DEFAULT_PROFILES_FILE')
+        stranger = start('stranger', program=Path(__file__).with_name('stranger.py'))
     start('sim', sheep=3, dogs=1, real_time_factor=10.0)
     controller = start('controller', dogs=1, use_sim_time=True)
-    peer.spin_until(lambda: received)
+    stranger.wait_for('heard a plan')
     assert shared_ports(controller.process.pid) != set()
 
 
