@@ -11,7 +11,7 @@ from herding_ros.control.solution import NoTimeFor
 _T = TypeVar('_T')
 
 _FADING = 0.8
-"""What was seen in the work before counts by this much less in the next one."""
+"""By how much less a step counts once others of its kind were seen in a later work."""
 
 
 class StepTimes:
@@ -23,19 +23,23 @@ class StepTimes:
 
     def __init__(self, guess: float) -> None:
         self._guess = guess
-        self._longest: dict[str, float] = {}
+        self._before: dict[str, float] = {}
+        self._seen: dict[str, float] = {}  # in the present work
 
-    def expected(self, step: str) -> float:
-        """Return the time that a step of this kind may take [s]."""
-        return self._longest.get(step, self._guess)
+    def begin(self) -> None:
+        """Begin another work: let a step that was held up once be forgotten in time."""
+        for step, seconds in self._seen.items():
+            self._before[step] = max(seconds, _FADING * self._before.get(step, 0.0))
+        self._seen = {}
 
     def saw(self, step: str, seconds: float) -> None:
         """Take note of a step."""
-        self._longest[step] = max(self._longest.get(step, 0.0), seconds)
+        self._seen[step] = max(self._seen.get(step, 0.0), seconds)
 
-    def fade(self) -> None:
-        """Let a step that was held up once be forgotten in time."""
-        self._longest = {step: _FADING * seconds for step, seconds in self._longest.items()}
+    def expected(self, step: str) -> float:
+        """Return the time that a step of this kind may take [s]."""
+        known = [times[step] for times in (self._before, self._seen) if step in times]
+        return max(known, default=self._guess)
 
 
 class Work(Generic[_T]):
@@ -89,7 +93,7 @@ class Work(Generic[_T]):
         return round(self.start - (self._now() if self._ended is None else self._ended), 9)
 
     def _run(self) -> None:
-        self._times.fade()
+        self._times.begin()
         try:
             self.result = self._work(self._has_no_time_for)
         except Exception as error:

@@ -54,6 +54,9 @@ LIVE = ('weights.', *LIVE_NOISE, 'horizon.length', 'horizon.accepted', 'max_spee
 _PATH_SPACING = 0.5
 """Time between two poses of a path [s]."""
 
+_SPARE = 0.1
+"""Part of the lead that a solve leaves: /clock may be heard late, and a plan be taken late."""
+
 _STATE_PERIOD = 1.0
 """Wall time between two messages on /diagnostics about the node itself [s]."""
 
@@ -316,8 +319,8 @@ class Controller(HerdingNode):
             )
             return Playing(window, observed.dogs)
 
-        # A period to spare: a clock may tell the time that late, and a plan be taken so.
-        self._coming = Work(plan, start, self._now, self._step_times, spare=period)
+        spare = max(_SPARE * self._settings.lead, period)
+        self._coming = Work(plan, start, self._now, self._step_times, spare)
 
     def _now(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)

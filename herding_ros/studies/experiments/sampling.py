@@ -18,7 +18,7 @@ from herding_ros.model.sampling import (
     linear,
     Resolution,
 )
-from herding_ros.model.warmup import warm_up_all
+from herding_ros.model.warmup import warm_up, warm_up_others
 
 from .case import Case
 
@@ -50,7 +50,8 @@ def run(sheep: int, dogs: int, sigma: float, seed: int, standard_error: float) -
     the noise and settles the paths, and of the second; work in paths of the fine model; off:
     root mean square distance from the plain estimate over the window [m], which has other noise.
     """
-    warm_up_all()
+    warm_up()
+    warm_up_others()
     case = Case(sheep, dogs, sigma, seed, PAPER)
     u = case.deterministic.plan.u
     horizon = case.control.horizon
