@@ -6,6 +6,7 @@ import array
 from collections.abc import Sequence
 import dataclasses
 from dataclasses import dataclass
+from functools import cache
 import math
 from numbers import Real
 from typing import Any, get_type_hints
@@ -41,12 +42,19 @@ class Parameters:
                 checked = check(f'{type(self).__name__}.{field.name}', value, field)
                 object.__setattr__(self, field.name, checked)
             else:
-                group, kind = getattr(self, field.name), get_type_hints(type(self))[field.name]
+                types = _types(type(self))  # type: ignore[arg-type]  # mypy asks its instances
+                group, kind = getattr(self, field.name), types[field.name]
                 if not isinstance(group, kind):
                     raise ValueError(
                         f'{type(self).__name__}.{field.name} is {group!r}, '
                         f'allowed is a {kind.__name__}'
                     )
+
+
+@cache  # a filter makes a crowd at every step
+def _types(kind: type[Parameters]) -> dict[str, Any]:
+    """Return the types of the fields."""
+    return get_type_hints(kind)
 
 
 def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
