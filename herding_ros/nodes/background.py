@@ -13,28 +13,34 @@ _T = TypeVar('_T')
 _FADING = 0.8
 """By how much less a step counts once others of its kind were seen in a later work."""
 
+_DOUBT = 0.98
+"""The same if none was: one that was held up once shall not be left out for good."""
+
 
 class StepTimes:
     """How long steps of each kind take at most [s], as seen of late; what was not seen is a guess.
 
     A plan that is made in time says little about the next one, whose dearest steps it may not have
-    needed: so this is carried from work to work.
+    needed: so this is carried from work to work. None counts for more than `most` [s], however
+    long a process was stopped.
     """
 
-    def __init__(self, guess: float) -> None:
-        self._guess = guess
+    def __init__(self, guess: float, most: float) -> None:
+        self._guess, self._most = guess, most
         self._before: dict[str, float] = {}
         self._seen: dict[str, float] = {}  # in the present work
 
     def begin(self) -> None:
         """Begin another work: let a step that was held up once be forgotten in time."""
-        for step, seconds in self._seen.items():
-            self._before[step] = max(seconds, _FADING * self._before.get(step, 0.0))
+        for step in {*self._before, *self._seen}:
+            fading = _FADING if step in self._seen else _DOUBT
+            before = fading * self._before.get(step, 0.0)
+            self._before[step] = max(self._seen.get(step, 0.0), before)
         self._seen = {}
 
     def saw(self, step: str, seconds: float) -> None:
         """Take note of a step."""
-        self._seen[step] = max(self._seen.get(step, 0.0), seconds)
+        self._seen[step] = max(self._seen.get(step, 0.0), min(seconds, self._most))
 
     def expected(self, step: str) -> float:
         """Return the time that a step of this kind may take [s]."""
@@ -47,7 +53,8 @@ class Work(Generic[_T]):
 
     `now` tells the time [s]. no_time_for(step) says True, and the work shall return the best that
     it has, once it is dropped or when a step of this kind might end later than `spare` [s] before
-    the start. The thread does not keep the process from ending.
+    the start. There is always time for the first step, or nobody would see how long it takes. The
+    thread does not keep the process from ending.
     """
 
     def __init__(
@@ -65,6 +72,7 @@ class Work(Generic[_T]):
         self._now = now
         self._times = times
         self._spare = spare
+        self._steps = 0
         self._step: str | None = None  # that is under way
         self._begun = 0.0  # when it was
         self._dropped = threading.Event()
@@ -104,8 +112,10 @@ class Work(Generic[_T]):
     def _has_no_time_for(self, step: str) -> bool:
         now = self._now()
         self._end_step(now)
-        if self.dropped or now + self._times.expected(step) + self._spare > self.start:
+        late = now + self._times.expected(step) + self._spare > self.start
+        if self.dropped or (late and self._steps):
             return True
+        self._steps += 1
         self._step, self._begun = step, now
         return False
 

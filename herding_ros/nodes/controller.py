@@ -116,7 +116,8 @@ class Controller(HerdingNode):
             self._crowd, self._control.sensor, horizon.control_period, horizon.substeps
         )
         self._stopping = threading.Event()
-        self._step_times = StepTimes(guess=0.25 * self._settings.lead)
+        lead = self._settings.lead
+        self._step_times = StepTimes(guess=0.25 * lead, most=lead)
         self._coming: Work[Playing] | None = None  # the plan that is being made
         self._late: Work[Playing] | None = None  # the last one that was not there in time
         self._next: Playing | None = None  # the one that waits for its window
