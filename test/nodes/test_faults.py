@@ -299,10 +299,11 @@ def test_slow_solver_falls_back_and_recovers(
     illness = tmp_path / 'illness'
     meadow = Meadow(peer)
     commands = Commands(peer, meadow)
-    # Three times the lead is 3 s more than what is left of the old plan, 4 s + 5 s: so long do
-    # the dogs stand, longer than the second of wall time between two reports of the controller.
-    start('sim', **{**SIM, 'real_time_factor': 2.0})
-    short = {'horizon__length': 10.0, 'horizon__accepted': 5.0, 'state_timeout': SLACK}
+    # A solve gets nine tenths of the lead, 3.6 s, and takes three times as long: 2 s more than the
+    # old plan lasts, two windows of 4 s. So long do the dogs stand, longer than the second of wall
+    # time between two reports of the controller.
+    start('sim', **{**SIM, 'real_time_factor': 1.5})
+    short = {'horizon__length': 8.0, 'horizon__accepted': 4.0, 'state_timeout': SLACK}
     start('controller', str(illness), program=AILING, **CONTROLLER, **short)
     meadow.run_until(lambda: meadow.plans and meadow.now() > seconds(meadow.plans[0]))
     illness.write_text('slow')
@@ -316,9 +317,9 @@ def test_slow_solver_falls_back_and_recovers(
     meadow.run_until(lambda: 'the plan is over' in doing())
     meadow.run_until(meadow.dogs_stand)
     stood, before = meadow.now(), list(meadow.plans)
-    assert stood >= seconds(before[-1]) + 10.0
+    assert stood >= seconds(before[-1]) + 8.0
     told = [(t, u) for t, u in commands.at() if seconds(before[-1]) <= t <= stood]
-    assert len(told) > 80
+    assert len(told) > 60
     for t, u in told:
         assert np.array_equal(u, commands.planned(t, before))
     assert int(meadow.said('controller: state')['deadlines_missed']) >= 1
