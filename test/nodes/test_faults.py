@@ -157,28 +157,21 @@ def test_time_set_back_starts_anew(how: str, start: Callable[..., Any], peer: An
 
 def test_paused_sim_goes_on_where_it_was(start: Callable[..., Any], peer: Any) -> None:
     start('sim', **SIM)
-    start('controller', **CONTROLLER)
+    # So much lead that no plan is late for other reasons.
+    start('controller', **{**CONTROLLER, 'lead': 6.0})
     meadow = Meadow(peer)
-    states = peer.listen(DiagnosticArray, '/diagnostics')
-
-    def missed() -> str:
-        """Deadlines that were missed until now, by the next word of the controller."""
-        states.clear()
-        peer.spin_until(lambda: any(m.status[0].name == 'controller: state' for m in states))
-        return meadow.said('controller: state')['deadlines_missed']
-
     meadow.run_until(meadow.dogs_run)
     assert peer.call(SetBool, 'sim/pause', SetBool.Request(data=True)).success
     meadow.run_until(lambda: meadow.said('sim: herd').get('') == 'paused')
     peer.spin_for(0.2)
-    paused, plans, missed_before = meadow.now(), len(meadow.plans), missed()
+    paused, plans = meadow.now(), len(meadow.plans)
     peer.spin_for(3.0)  # more than all timeouts
     assert meadow.now() == paused
     assert len(meadow.plans) <= plans + 1  # the one that was being made
-    assert missed() == missed_before
     assert peer.call(SetBool, 'sim/pause', SetBool.Request(data=False)).success
     meadow.run_until(lambda: meadow.now() > paused and meadow.dogs_run())
     meadow.run_until(meadow.arrived)
+    assert meadow.said('controller: state')['deadlines_missed'] == '0'
 
 
 class Relay:
@@ -319,7 +312,7 @@ def test_slow_solver_falls_back_and_recovers(
     stood, before = meadow.now(), list(meadow.plans)
     assert stood >= seconds(before[-1]) + 8.0
     told = [(t, u) for t, u in commands.at() if seconds(before[-1]) <= t <= stood]
-    assert len(told) > 60
+    assert len(told) > 64
     for t, u in told:
         assert np.array_equal(u, commands.planned(t, before))
     assert int(meadow.said('controller: state')['deadlines_missed']) >= 1
