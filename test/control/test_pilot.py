@@ -546,8 +546,8 @@ EVENTS = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
-@given(st.lists(EVENTS, max_size=60), st.integers(1, 4))
+@settings(max_examples=50, deadline=None)
+@given(st.lists(EVENTS, max_size=40), st.integers(1, 4))
 def test_whatever_happens_there_is_a_plan_in_play_of_bounded_age(
     events: list[tuple[str, object]], every: int
 ) -> None:
