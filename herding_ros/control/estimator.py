@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
+from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.noise import strength
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, finite, HerdState
@@ -108,6 +109,7 @@ class Estimator:
     sensor: Sensor
     control_period: float
     substeps: int
+    motion: MotionModel = Holonomic()
     _belief: _Belief | None = field(default=None, init=False)
 
     def reset(self) -> None:
@@ -188,7 +190,8 @@ class Estimator:
             sheep=crowd.sheep.without_ranges_below(noise),
             dog=crowd.dog.without_ranges_below(noise),
         )
-        end = rollout(crowd, belief.state, u[None, belief.dogs.names], dt, steps).at(-1)
+        commands = u[None, belief.dogs.names]
+        end = rollout(crowd, belief.state, commands, dt, steps, motion=self.motion).at(-1)
         step = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
         force = self._force(belief.t, belief.state.x)[..., None, None] ** 2 * np.diag([0.0, dt])
         covariance = belief.sheep.covariance
@@ -200,7 +203,7 @@ class Estimator:
             sheep=replace(
                 belief.sheep, mean=np.stack([end.x, end.v], axis=1), covariance=covariance
             ),
-            dogs=replace(belief.dogs, mean=end.d[:, None], covariance=slipped),
+            dogs=replace(belief.dogs, mean=end.dogs[:, None], covariance=slipped),
         )
 
     def _corrected(self, expected: _Belief, new: _Belief, observed: HerdState) -> _Belief:

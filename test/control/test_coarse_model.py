@@ -4,7 +4,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Weights
 from herding_ros.model.crowd import Crowd, CROWDS

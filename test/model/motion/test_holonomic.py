@@ -3,8 +3,10 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from herding_ros.model.admissible import project
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array
+
+project = Holonomic().project
 
 LIMIT = 0.05
 seeds = st.integers(0, 2**32)
