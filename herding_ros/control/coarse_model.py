@@ -89,7 +89,8 @@ class CoarseModel:
             kernels.centre_adjoints(
                 trajectory.xs, d, block, constants, dogs.reshape(*shape[:2], -1)
             )
-            return np.moveaxis(self.transpose(trajectory, u, dogs), -1, 0)
+            rows = np.moveaxis(self.transpose(trajectory, u, dogs), -1, 0)
+            return np.ascontiguousarray(rows)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             rows = np.concatenate(list(pool.map(sweep, blocks)))[: 2 * len(nodes)]
