@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.control.closed_loop import Planner, play, Policy
+from herding_ros.control.closed_loop import as_policy, play, Policy
 from herding_ros.control.parameters import Control
+from herding_ros.control.pilot import LockstepPilot
+from herding_ros.control.receding_horizon import RecedingHorizon, SolveReport
 from herding_ros.model.crowd import CROWDS
 from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
@@ -46,20 +48,20 @@ class Stopwatch:
 class Watched:
     """The controller with the errors of its observations and of its estimates."""
 
-    def __init__(self, policy: Policy, planner: Planner, simulation: Simulation) -> None:
-        """Watch a planner, which decides in `policy`, in this world."""
+    def __init__(self, policy: Policy, pilot: LockstepPilot, simulation: Simulation) -> None:
+        """Watch a pilot, which decides in `policy`, in this world."""
         self._policy = policy
-        self._planner = planner
+        self._pilot = pilot
         self._simulation = simulation
         self._squares: dict[str, list[list[float]]] = {'seen': [], 'believed': []}
 
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the velocities that the controller wants."""
         u = self._policy(observed, t)
-        believed = self._planner.believed
-        assert believed is not None
+        estimate = self._pilot.estimate
+        assert estimate is not None
         truth = self._simulation.state
-        for name, state in (('seen', observed), ('believed', believed)):
+        for name, state in (('seen', observed), ('believed', estimate.state)):
             self._squares[name].append(
                 [
                     float(np.square(getattr(state, a) - getattr(truth, a)).mean())
@@ -115,10 +117,12 @@ def run(
     world = World(sheep=sheep, dogs=dogs, seed=seed)
     if noise is not None:
         world = replace(world, position_noise=noise, velocity_noise=noise)
+    reports: list[SolveReport] = []
     decide: Policy
     if policy == 'planner':
         control = with_paths(changed(Control(), settings), paths)
-        decide = planner = Planner(herd, control, destination, seed)
+        pilot = LockstepPilot(RecedingHorizon(herd, control, destination, seed), dogs)
+        decide = as_policy(pilot, reports)
     elif policy == 'strombom':
         decide = Strombom(destination, np.random.default_rng([seed, 30_000]), **settings)
     elif policy == 'none':
@@ -129,7 +133,7 @@ def run(
     simulation = Simulation(herd, world, destination)
     decide = timed = Stopwatch(decide)
     if policy == 'planner':
-        decide = watched = Watched(timed, planner, simulation)
+        decide = watched = Watched(timed, pilot, simulation)
     track = play(simulation, decide, time_limit, stop)
     period = world.control_period
     result = {
@@ -139,7 +143,7 @@ def run(
         'snapshots': snapshots_at(track, snapshots, period),
     }
     if policy == 'planner':
-        result |= {'plans': plans(planner.reports), 'errors': watched.errors()}
+        result |= {'plans': plans(reports), 'errors': watched.errors()}
     return result
 
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.control.closed_loop import Run
+from herding_ros.control.closed_loop import ClosedLoopRun
 from herding_ros.control.receding_horizon import SolveReport
 from herding_ros.model.flock import centre, distance, spread
 from herding_ros.model.state import Array
 
 
-def measures(run: Run, goal: Array, period: float) -> dict[str, Any]:
+def measures(run: ClosedLoopRun, goal: Array, period: float) -> dict[str, Any]:
     """Return the result of a run. Lengths in m, times in s, energy in m^2/s.
 
     dogs_run: length of the paths of all dogs; energy: int sum |u_m|^2 dt; from_home: see `held`.
@@ -38,7 +38,7 @@ def measures(run: Run, goal: Array, period: float) -> dict[str, Any]:
     }
 
 
-def held(run: Run, spreads: Array, away: Array, home: int, period: float) -> dict[str, Any] | None:
+def held(run: ClosedLoopRun, spreads: Array, away: Array, home: int, period: float) -> dict[str, Any] | None:
     """Return what held from the instant number `home` on; None if the run ended there.
 
     turning: mean angular velocity of each dog about the centre, anticlockwise [rad/s];
@@ -74,7 +74,7 @@ def plans(reports: Sequence[SolveReport]) -> dict[str, Any]:
     }
 
 
-def course(run: Run, goal: Array, every: int) -> dict[str, Any]:
+def course(run: ClosedLoopRun, goal: Array, every: int) -> dict[str, Any]:
     """Return every so many-th instant of a run, and the last, rounded, for figures."""
     index = sorted({*range(0, len(run.t), every), len(run.t) - 1})
     x = run.x[index]
@@ -89,7 +89,7 @@ def course(run: Run, goal: Array, every: int) -> dict[str, Any]:
     }
 
 
-def snapshots_at(run: Run, instants: Sequence[float], period: float) -> list[dict[str, Any]]:
+def snapshots_at(run: ClosedLoopRun, instants: Sequence[float], period: float) -> list[dict[str, Any]]:
     """Return the positions at these instants [s], as far as the run got."""
     numbers = {t: round(t / period) for t in instants}
     return [
