@@ -14,7 +14,16 @@ from herding_ros.report.statistics import Fraction, Mean, significant
 from herding_ros.report.style import COLOURS, legend, new, save
 
 from .experiments.strombom import Strombom
-from .runs import PLAIN, safe, SETTINGS, success, summary, times_of_arrivals, with_mapping
+from .runs import (
+    PLAIN,
+    run_task,
+    safe,
+    SETTINGS,
+    success,
+    summary,
+    times_of_arrivals,
+    with_mapping,
+)
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
@@ -23,8 +32,6 @@ DESCRIPTION = 'no mapping, the paper, a heuristic (Strömbom et al. 2014), no do
 
 _SIGMAS = (0.01, 0.02, 0.03, 0.04)
 _DOGS = (2, 5)
-_GOAL = [0.5, 0.5]
-_LIMIT = 400.0
 _POLICIES: dict[str, tuple[str, dict[str, Any]]] = {
     'our default': ('planner', SETTINGS['default']),
     'plain paths': ('planner', PLAIN),
@@ -38,7 +45,6 @@ _Runs = dict[tuple[str, int, float], Results]
 
 _DISTANCES = (0.1, 0.13, 0.16, 0.2, 0.25, 0.3)
 """Values of r_a, the length that scales the heuristic [m]."""
-_SCANNED_SIGMA = 0.01
 
 
 def tasks(options: Options) -> list[Task]:
@@ -46,26 +52,20 @@ def tasks(options: Options) -> list[Task]:
     quick = options.quick
     sigmas, herds = ((0.02,), (2,)) if quick else (_SIGMAS, _DOGS)
     seeds = options.seed_range(20)
-    common = {
-        'sheep': 6 if quick else 20,
-        'goal': _GOAL,
-        'time_limit': 10.0 if quick else _LIMIT,
-    }
     found = []
     for policy, settings in _POLICIES.values():
-        planned = {'paths': options.path_number(100)} if policy == 'planner' else {}
         # The flock alone does not depend on the number of dogs that it does not notice.
         for case in grid(sigma=sigmas, dogs=herds[:1] if policy == 'none' else herds, seed=seeds):
-            parameters = {**common, **case, **planned, 'policy': policy, 'settings': settings}
             cost = 0.5
             if policy == 'planner':
                 cost = 6.0 if case['sigma'] > 0.035 else 4.0 / case['dogs']
-            found.append(Task('herding', parameters, 0.05 * cost if quick else cost))
+            cost *= 0.05 if quick else 1.0
+            found.append(run_task(options, cost, policy=policy, settings=settings, **case))
     scanned = [{'sheep_distance': each} for each in (_DISTANCES[:1] if quick else _DISTANCES)]
-    for case in grid(settings=scanned, dogs=herds, seed=seeds):
-        parameters = {**common, **case, 'policy': 'strombom', 'sigma': _SCANNED_SIGMA}
-        found.append(Task('herding', parameters, 0.5))
-    return found
+    return found + [
+        run_task(options, 0.5, policy='strombom', **case)
+        for case in grid(settings=scanned, dogs=herds, seed=seeds)
+    ]
 
 
 def draw(results: Results, figures: Path) -> Section:

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from herding_ros.control.parameters import Control, Mapping, PAPER
-from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, COLOURS, GREY, legend, new, save
 
 from .experiments.settings import differences
-from .runs import median_time, PLAIN, success, with_mapping
+from .runs import median_time, PLAIN, run_task, success, with_mapping
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
@@ -67,21 +66,14 @@ def tasks(options: Options) -> list[Task]:
         }
         cost = 0.1 if quick else 2.5 + 0.0016 * case['paths']
         found.append(Task('common_noise', parameters, cost))
-    run = {
-        'policy': 'planner',
-        'sheep': 6 if quick else 20,
-        'dogs': 5,
-        'goal': GOAL,
-        'time_limit': 10.0 if quick else 300.0,
-        'paths': few,
-    }
     cases = grid(
         settings=list(_PLANS.values()),
         sigma=_RUN_SIGMAS[:1] if quick else _RUN_SIGMAS,
         common_noise=(SHARES[0], SHARES[-1]),
         seed=options.seed_range(10),
     )
-    return found + [Task('herding', {**run, **case}, 0.1 if quick else 1.5) for case in cases]
+    limit, cost = (10.0, 0.1) if quick else (300.0, 1.5)
+    return found + [run_task(options, cost, dogs=5, time_limit=limit, **case) for case in cases]
 
 
 _Windows = dict[tuple[str, float], Results]
@@ -163,8 +155,8 @@ def _draw_errors_and_centres(every: Results, windows: _Windows, figures: Path) -
     errors.set(ylim=(0, None))
     for place, share in zip(places, (SHARES[0], SHARES[-1]), strict=True):
         place.set_title(f'share in common {share:g}', fontsize=9)
-        found = every.of('common_noise', common_noise=share, trace=True)
-        for trace in found.values('trace'):
+        drawn = every.of('common_noise', common_noise=share, trace=True)
+        for trace in drawn.values('trace'):
             for single in trace['singles']:
                 place.plot(*np.transpose(single), color=BLUE, linewidth=0.7, alpha=0.5)
             place.plot(*np.transpose(trace['wanted']), color='black', linestyle='--')

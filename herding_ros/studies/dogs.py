@@ -16,11 +16,13 @@ from herding_ros.report.style import COLOURS, legend, new, save
 from .pictures import draw_runs
 from .runs import (
     failures,
+    LIMIT,
     median_time,
     NAMES,
     number,
     outcome,
     point,
+    run_task,
     SETTINGS,
     success,
     summary,
@@ -38,7 +40,7 @@ _NEAR = (0.5, 0.5)
 _SETTINGS = {**SETTINGS, 'paper': with_mapping(SETTINGS['paper'], tolerance=0.5)}
 """In this study eps_SM = 0.5 in the paper's setting."""
 _PAPER_TIMES = {1: 3400.0, 2: 80.0, 3: 60.0, 4: 60.0, 5: 70.0, 6: 40.0}
-_LIMIT, _LIMIT_OF_ONE = 400.0, 3400.0
+_LIMIT_OF_ONE = 3400.0
 _MEDIAN_GOALS = {2: 60.0, 3: 45.0, 4: 40.0, 5: 35.0, 6: 32.0}
 
 _Runs = dict[tuple[str, int, tuple[float, ...]], Results]
@@ -47,27 +49,16 @@ _Runs = dict[tuple[str, int, tuple[float, ...]], Results]
 
 def tasks(options: Options) -> list[Task]:
     """Return runs of each number of dogs to both goals, under both settings."""
-    quick = options.quick
-    cases = grid(
-        settings=list(_SETTINGS.values()),
-        dogs=(1, 3) if quick else list(_PAPER_TIMES),
-        goal=_GOALS,
-        seed=options.seed_range(20),
-    )
-    found = []
-    for case in cases:
+    quick, found = options.quick, []
+    herds = (1, 3) if quick else list(_PAPER_TIMES)
+    settings = list(_SETTINGS.values())
+    for case in grid(settings=settings, dogs=herds, goal=_GOALS, seed=options.seed_range(20)):
         one = case['dogs'] == 1
         cost = 15.0 if one else 3.0 / case['dogs'] * math.hypot(*case['goal'])
-        parameters = {
-            **case,
-            'policy': 'planner',
-            'sheep': 6 if quick else 20,
-            'sigma': 0.01,
-            'time_limit': 20.0 if quick else _LIMIT_OF_ONE if one else _LIMIT,
-            'paths': options.path_number(100),
-            'every': 2.0 if one else 1.0,
-        }
-        found.append(Task('herding', parameters, 0.05 * cost if quick else cost))
+        limit = 20.0 if quick else _LIMIT_OF_ONE if one else LIMIT
+        every = 2.0 if one else 1.0
+        cost *= 0.05 if quick else 1.0
+        found.append(run_task(options, cost, **case, time_limit=limit, every=every))
     return found
 
 
@@ -112,7 +103,7 @@ def _draw_times(runs: _Runs, figures: Path) -> None:
             found = runs[name, dogs, tuple(goal)]
             if arrived := times_of_arrivals(found):
                 steps = np.arange(1, len(arrived) + 1) / len(found)
-                limit = _LIMIT_OF_ONE if dogs == 1 else _LIMIT
+                limit = _LIMIT_OF_ONE if dogs == 1 else LIMIT
                 place.step(
                     [arrived[0], *arrived, limit], [0.0, *steps, steps[-1]], where='post',
                     color=colour, label=number(dogs, 'dog'),

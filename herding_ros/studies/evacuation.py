@@ -7,11 +7,12 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import table
 from herding_ros.report.style import BLUE, COLOURS, GREY, legend, new, RED, save
 
 from .pictures import draw_runs, draw_times
-from .runs import failures, median_time, number, outcome, success, summary
+from .runs import failures, LIMIT, median_time, number, outcome, run_task, success, summary
 from .study import Options, Results, Row, Section
 from .task import Task
 
@@ -19,8 +20,6 @@ TITLE = 'Evacuation: guides in place of dogs'
 DESCRIPTION = 'a crowd led by 1 to 5 guides, against dogs and against nobody'
 
 _AGENTS = (1, 2, 3, 4, 5)
-_GOAL = [0.5, 0.5]
-_LIMIT = 400.0
 _LEADERS: dict[str, dict[str, Any]] = {
     'dogs': {'crowd': 'cohesive', 'settings': {}},
     'guides': {'crowd': 'guided', 'settings': {}},
@@ -35,26 +34,20 @@ _COLOURS = dict(zip(_LEADERS, (RED, COLOURS[2], BLUE), strict=True))
 
 def tasks(options: Options) -> list[Task]:
     """Return runs of the same crowds with each number of dogs and guides, and alone."""
-    quick = options.quick
-    common = {
-        'sheep': 6 if quick else 20,
-        'sigma': 0.01,
-        'goal': _GOAL,
-        'time_limit': 10.0 if quick else _LIMIT,
-    }
-    led = {**common, 'policy': 'planner', 'paths': options.path_number(100)}
-    alone = {**common, 'policy': 'none', 'settings': {}, 'dogs': 1, 'every': 10.0}
-    found = []
+    quick, found = options.quick, []
     for seed in options.seed_range(10):
         for leaders, agents in product(_LEADERS.values(), _AGENTS[:2] if quick else _AGENTS):
-            parameters = {**led, **leaders, 'dogs': agents, 'seed': seed}
-            found.append(Task('herding', parameters, 0.2 if quick else 4.0 / agents))
-        found.append(Task('herding', {**alone, 'seed': seed}, 0.5))
+            cost = 0.2 if quick else 4.0 / agents
+            found.append(run_task(options, cost, **leaders, dogs=agents, seed=seed))
+        found.append(run_task(options, 0.5, policy='none', dogs=1, seed=seed, every=10.0))
     return found
 
 
 _Runs = dict[tuple[str, int], Results]
 """Runs by the kind of leaders and their number."""
+
+_SHOWN = tuple(product(('dogs', 'guides'), (1, 2, 5)))
+"""Those that are drawn."""
 
 
 def draw(results: Results, figures: Path) -> Section:
@@ -66,7 +59,7 @@ def draw(results: Results, figures: Path) -> Section:
     alone = results.of('herding', policy='none')
     _draw_times(runs, alone, figures)
     shown = {f'{name}: {agents}': runs[name, agents] for name, agents in _SHOWN}
-    draw_runs(shown, _GOAL, figures / 'evacuation-trajectories.png', width=3.2, height=3.0)
+    draw_runs(shown, GOAL, figures / 'evacuation-trajectories.png', width=3.2, height=3.0)
     groups = (({'led by': name}, found) for (name, _), found in runs.items())
     values = {
         'seeds': results.seeds,
@@ -74,9 +67,6 @@ def draw(results: Results, figures: Path) -> Section:
         'failures': failures(groups, agents='number'),
     }
     return Section(values, _rows(runs))
-
-
-_SHOWN = tuple(product(('dogs', 'guides'), (1, 2, 5)))
 
 
 def _table(runs: _Runs, alone: Results) -> str:
@@ -97,10 +87,10 @@ def _draw_times(runs: _Runs, alone: Results, figures: Path) -> None:
     for offset, (name, colour) in zip((-0.2, 0.0, 0.2), _COLOURS.items(), strict=True):
         label = name
         for agents in _AGENTS:
-            draw_times(axes, agents + offset, runs[name, agents], _LIMIT, 0.09, colour, label)
+            draw_times(axes, agents + offset, runs[name, agents], LIMIT, 0.09, colour, label)
             label = '' if len(runs[name, agents]) else label
-    draw_times(axes, 0.0, alone, _LIMIT, 0.09, GREY, 'nobody')
-    axes.set(yscale='log', ylim=(10.0, 1.1 * _LIMIT), ylabel='time of arrival [s]')
+    draw_times(axes, 0.0, alone, LIMIT, 0.09, GREY, 'nobody')
+    axes.set(yscale='log', ylim=(10.0, 1.1 * LIMIT), ylabel='time of arrival [s]')
     axes.set(xlabel='number of dogs or guides')
     legend(axes)
     save(figure, figures / 'evacuation-times.png')

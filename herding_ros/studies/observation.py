@@ -15,7 +15,7 @@ from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, legend, new, RED, save
 
 from .pictures import draw_times
-from .runs import failures, median_time, outcome, safe, success, summary
+from .runs import failures, LIMIT, median_time, outcome, run_task, safe, success, summary
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
@@ -25,8 +25,6 @@ DESCRIPTION = 'observation noise up to 0.05 m and 0.05 m/s, filtered and as it i
 _NOISES = (0.0, 0.01, 0.02, 0.05)
 """Standard deviation of observed positions [m] and velocities [m/s]."""
 _DOGS = (2, 5)
-_GOAL = [0.5, 0.5]
-_LIMIT = 400.0
 _MISJUDGED = (0.02, 0.1)
 """Noises that the filter expects while the largest noise is there."""
 _COLOURS = {'as observed': RED, 'filtered': BLUE}
@@ -49,19 +47,13 @@ def tasks(options: Options) -> list[Task]:
     noises, herds = ((0.0, 0.05), _DOGS[:1]) if quick else (_NOISES, _DOGS)
     pairs = {(noise, _expected(plan, noise)) for noise in noises for plan in _COLOURS}
     pairs |= {(noises[-1], expected) for expected in _MISJUDGED}
-    common = {
-        'policy': 'planner',
-        'sheep': 6 if quick else 20,
-        'sigma': 0.01,
-        'goal': _GOAL,
-        'time_limit': 10.0 if quick else _LIMIT,
-        'paths': options.path_number(100),
-    }
     return [
-        Task(
-            'herding',
-            {**common, **case, 'noise': noise, 'settings': _settings(expected)},
+        run_task(
+            options,
             cost=0.2 if quick else 4.0 / case['dogs'],
+            noise=noise,
+            settings=_settings(expected),
+            **case,
         )
         for noise, expected in sorted(pairs)
         for case in grid(dogs=herds, seed=options.seed_range(20))
@@ -192,8 +184,8 @@ def _draw_times(runs: _Runs, figures: Path) -> None:
         for offset, (plan, colour) in zip((-0.12, 0.12), _COLOURS.items(), strict=True):
             for k, noise in enumerate(_NOISES):
                 found = runs[dogs, noise, _expected(plan, noise)]
-                draw_times(place, k + offset, found, _LIMIT, 0.1, colour, '' if k else plan)
-        place.set(yscale='log', ylim=(20.0, 1.1 * _LIMIT))
+                draw_times(place, k + offset, found, LIMIT, 0.1, colour, '' if k else plan)
+        place.set(yscale='log', ylim=(20.0, 1.1 * LIMIT))
         place.set(xlabel='noise [m, m/s]', ylabel='time of arrival [s]')
         place.set_xticks(range(len(_NOISES)), [f'{noise:g}' for noise in _NOISES])
         place.set_title(f'{dogs} dogs', fontsize=9)

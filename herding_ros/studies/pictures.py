@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -16,7 +16,7 @@ from .study import Results
 
 
 def draw_runs(
-    runs: Mapping[str, Results], goal: list[float], path: Path, width: float, height: float
+    runs: Mapping[str, Results], goal: Sequence[float], path: Path, width: float, height: float
 ) -> None:
     """Draw the runs with seed 0 of six groups, named by the keys, side by side."""
     figure, axes = new(3, 2, width, height)

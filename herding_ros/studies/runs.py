@@ -9,11 +9,13 @@ from typing import Any
 
 from herding_ros.control.parameters import Control, PAPER
 from herding_ros.model.flock import ARRIVAL_DISTANCE
+from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Fraction, Mean, Median, significant
 
 from .experiments.settings import differences
-from .study import Results
+from .study import Options, Results
+from .task import Task
 
 PLAIN: dict[str, Any] = {'mapping': {'estimator': 'plain', 'standard_error': 0.0}}
 """Settings of a mapping that sees the mean of plain paths, as the paper's does."""
@@ -29,6 +31,26 @@ NAMES = {'default': 'our default', 'paper': "the paper's setting"}
 
 MAX_SPREAD = 0.6
 """A flock whose spread exceeded this on the way was chased rather than herded [m]."""
+
+
+LIMIT = 400.0
+"""Usual length of a run that does not arrive [s]."""
+
+
+def run_task(options: Options, cost: float, **parameters: Any) -> Task:
+    """Return the task of a run; what is not given is as in most studies, or small if quick."""
+    quick = options.quick
+    usual: dict[str, Any] = {
+        'policy': 'planner',
+        'settings': {},
+        'sheep': 6 if quick else 20,
+        'sigma': 0.01,
+        'goal': GOAL,
+        'time_limit': 10.0 if quick else LIMIT,
+    }
+    if parameters.get('policy', 'planner') == 'planner':
+        usual['paths'] = options.path_number(100)
+    return Task('herding', {**usual, **parameters}, cost)
 
 
 def with_mapping(settings: dict[str, Any], **changes: Any) -> dict[str, Any]:

@@ -11,18 +11,18 @@ from matplotlib.patches import Circle
 import numpy as np
 
 from herding_ros.model.flock import ARRIVAL_DISTANCE, TOGETHER
+from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Fraction, Mean, Median
 from herding_ros.report.style import BLUE, draw_goal, draw_herd, new, save
 
-from .runs import NAMES, SETTINGS, with_mapping
+from .runs import NAMES, run_task, SETTINGS, with_mapping
 from .study import grid, Options, Results, Row, Section
 from .task import Task
 
 TITLE = 'Stabilisation (Figure "simulation")'
 DESCRIPTION = 'Figure "simulation": 250 s with 5 dogs; do they circle, does the flock stay?'
 
-_GOAL = [0.5, 0.5]
 _LENGTH = 250.0
 _SNAPSHOTS = (10.0, 25.0, 50.0, 75.0, 125.0, 250.0)
 _HELD_DISTANCE, _HELD_SPREAD = 0.1, 1.2
@@ -41,20 +41,19 @@ _SETTINGS = {name: _settings(name) for name in NAMES}
 def tasks(options: Options) -> list[Task]:
     """Return long runs under both settings."""
     length = 20.0 if options.quick else _LENGTH
-    parameters = {
-        'policy': 'planner',
-        'sheep': 6 if options.quick else 20,
-        'dogs': 5,
-        'sigma': 0.01,
-        'goal': _GOAL,
-        'time_limit': length,
-        'paths': options.path_number(100),
-        'stop': False,
-        'snapshots': [t for t in _SNAPSHOTS if t <= length],
-    }
-    cases = grid(settings=list(_SETTINGS.values()), seed=options.seed_range(20))
-    cost = 0.3 if options.quick else 7.0
-    return [Task('herding', {**parameters, **case}, cost) for case in cases]
+    snapshots = [t for t in _SNAPSHOTS if t <= length]
+    return [
+        run_task(
+            options,
+            cost=0.3 if options.quick else 7.0,
+            dogs=5,
+            time_limit=length,
+            stop=False,
+            snapshots=snapshots,
+            **case,
+        )
+        for case in grid(settings=list(_SETTINGS.values()), seed=options.seed_range(20))
+    ]
 
 
 def draw(results: Results, figures: Path) -> Section:
@@ -137,7 +136,7 @@ def _draw_snapshots(runs: Results, figures: Path) -> None:
         place.set_axis_off()
     for place, shot in zip(axes.flat, shots, strict=False):
         draw_herd(place, shot['x'], shot['d'])
-        draw_goal(place, _GOAL)
+        draw_goal(place, GOAL)
         middle = np.mean(shot['x'], axis=0)
         radius = float(np.linalg.norm(np.array(shot['d']) - middle, axis=1).mean())
         place.add_patch(Circle(tuple(middle), radius, fill=False, color='black', linewidth=0.8))

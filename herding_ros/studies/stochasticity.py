@@ -311,8 +311,8 @@ def _goals(results: Results) -> list[Goal]:
         slope = _growth({s: before[s].value for s in SIGMAS})
         paper = _growth(_PAPER_BEFORE[1000])
         what = 'Error before mapping: exponent p of its growth σ^p'
-        bound = f"about 2 (the paper's: {paper:.2f})"
-        goals.append(Goal(what, bound, f'{slope:.2f}', abs(slope - paper) <= 0.3))
+        wanted = f"about 2 (the paper's: {paper:.2f})"
+        goals.append(Goal(what, wanted, f'{slope:.2f}', abs(slope - paper) <= 0.3))
     return goals
 
 

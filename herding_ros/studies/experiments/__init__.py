@@ -7,17 +7,18 @@ from collections.abc import Callable
 from typing import Any
 
 from . import direct, herding, mean_field, sampling, symmetry, variant, window
+from .case import Case
 
 EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
-    'common_noise': window.common_noise,
-    'direct': direct.run,
+    'common_noise': Case.experiment(window.common_noise),
+    'direct': Case.experiment(direct.run),
     'herding': herding.run,
     'mean_field_convergence': mean_field.convergence,
-    'mean_field_mapping': window.large_flock,
+    'mean_field_mapping': Case.experiment(window.large_flock),
     'mean_field_replan': mean_field.replan,
     'sampling': sampling.run,
     'symmetry': symmetry.run,
-    'variant': variant.run,
-    'window': window.table,
+    'variant': Case.experiment(variant.run),
+    'window': Case.experiment(window.table),
 }
 """Experiments by the kind of their tasks."""

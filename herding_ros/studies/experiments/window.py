@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import SolveReport
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import centre
@@ -21,7 +20,6 @@ from herding_ros.model.noise import NoisePaths
 from herding_ros.model.state import Array
 
 from .case import Case
-from .settings import changed, with_paths
 from .variant import extraction
 
 _SINGLE = 100
@@ -29,23 +27,13 @@ _SINGLE = 100
 _DRAWN = 20
 
 
-def table(
-    sheep: int,
-    dogs: int,
-    sigma: float,
-    seed: int,
-    judge_paths: int,
-    trace: bool,
-    control: dict[str, Any],
-    paths: int | None = None,
-) -> dict[str, Any]:
+def table(case: Case, judge_paths: int, trace: bool) -> dict[str, Any]:
     """Plan the first window, as in Table 1 of the paper.
 
     residual: |T(u_f) - u_c| / |u_c| of the chosen control, by the paper's parameter extraction;
     calls: Monte Carlo evaluations (each of all paths), and rollouts in extraction. With trace,
     also the centres, for a figure.
     """
-    case = Case(sheep, dogs, sigma, seed, with_paths(changed(Control(), control), paths))
     u_coarse = case.deterministic.plan.u
     found = case.plan(case.control)
     report = found.report
@@ -65,25 +53,13 @@ def table(
     return result
 
 
-def common_noise(
-    sheep: int,
-    dogs: int,
-    sigma: float,
-    common_noise: float,
-    seed: int,
-    judge_paths: int,
-    trace: bool,
-    control: dict[str, Any],
-    paths: int | None = None,
-) -> dict[str, Any]:
+def common_noise(case: Case, judge_paths: int, trace: bool) -> dict[str, Any]:
     """Plan the first window when sheep have part of their noise in common.
 
     Each path of the judge is taken with both signs. wander: how far the centre of a single path
     is from the mean over paths, root mean square in the same norm. With trace, also some of these
     centres, for a figure.
     """
-    settings = with_paths(changed(Control(), control), paths)
-    case = Case(sheep, dogs, sigma, seed, settings, common_noise)
     found = case.plan(case.control)
     before, _ = case.judge(case.deterministic.plan.u, judge_paths, mirrored=True)
     after, uncertainty = case.judge(found.plan.u, judge_paths, mirrored=True)
@@ -115,16 +91,13 @@ def _single_centres(case: Case, u: Array) -> Array:
     )
 
 
-def large_flock(
-    sheep: int, dogs: int, sigma: float, seed: int, judge_paths: int, control: dict[str, Any]
-) -> dict[str, Any]:
+def large_flock(case: Case, judge_paths: int) -> dict[str, Any]:
     """Plan the first window of a large flock.
 
     Judged on antithetic paths, in whole blocks. seconds: of the phases of the solve.
     """
-    case = Case(sheep, dogs, sigma, seed, changed(Control(), control))
     found = case.plan(case.control)
-    noise = mirrored(case.draw(np.random.default_rng([seed, 20_000]), judge_paths))
+    noise = mirrored(case.draw(np.random.default_rng([case.seed, 20_000]), judge_paths))
     before, after = (
         case.error(case.expected_centre(u, noise))
         for u in (case.deterministic.plan.u, found.plan.u)
