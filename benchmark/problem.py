@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The problems that are measured, and what stands for ours in every comparison."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The coarse problem of the first window: our SPG and SciPy's L-BFGS-B, with our gradient."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A whole replan: coarse solve, mapping, Monte Carlo with 100 paths, a horizon of 20 s."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One window: direct optimisation, the controller's mapping, and variants of Algorithm 1."""
 
 from __future__ import annotations

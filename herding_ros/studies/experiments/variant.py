@@ -1,4 +1,5 @@
-"""The paper's Algorithm 1 put together from its parts, to see what each of them does."""
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's Algorithm 1 with some of its parts exchanged, to measure what each contributes."""
 
 from __future__ import annotations
 
@@ -10,14 +11,12 @@ import numpy as np
 
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
-from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import OPTIMISERS
 from herding_ros.control.solution import Solution
 from herding_ros.control.space_mapping import aggressive
 from herding_ros.model.state import Array
 
 from .case import Case
-from .settings import changed
 
 _TOLERANCE = 1e-5
 _MAX_ITERATIONS = 200
@@ -52,14 +51,9 @@ def extraction(case: Case, optimiser: str, observable: str) -> Callable[[Array, 
 
 
 def run(
-    sheep: int,
-    dogs: int,
-    sigma: float,
-    seed: int,
-    paths: int,
+    case: Case,
     judge_paths: int,
     iterations: int,
-    control: dict[str, Any],
     optimiser: str,
     observable: str,
     common_numbers: bool,
@@ -69,12 +63,11 @@ def run(
 
     optimiser: 'spg' or 'ncg', for parameter extraction; observable: 'centre' or 'individuals';
     common_numbers: the same paths in each evaluation of the fine model, or new ones; broyden: the
-    quasi-Newton update, or B = I throughout. before and after are what the method believes, on
-    the noise it saw; judged is the truth about the control it chose.
+    quasi-Newton update, or B = I throughout. before, after: errors on the noise that the method
+    has seen; judged: of the control that it chose, on other noise.
     """
-    case = Case(sheep, dogs, sigma, seed, changed(Control(), control))
     model, u_coarse = case.coarse, case.deterministic.plan.u
-    rng = np.random.default_rng(case.seen)
+    rng, paths = np.random.default_rng(case.seen), case.control.mapping.paths
     common = case.draw(rng, paths) if common_numbers else None
     calls = 0
 
