@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
+from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.noise import strength
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, finite, HerdState
@@ -86,15 +87,20 @@ class _Tracks:
 
 @dataclass(frozen=True)
 class _Estimate:
-    """Of the herd at t [s]."""
+    """Of the herd at t [s]; rest (M, S - 2): what the dogs' states hold besides positions.
+
+    Positions of dogs are filtered, the rest is taken as it was observed last.
+    """
 
     t: float
     sheep: _Tracks
     dogs: _Tracks
+    rest: Array
 
     @property
     def state(self) -> HerdState:
-        return HerdState(self.sheep.mean[:, 0], self.sheep.mean[:, 1], self.dogs.mean[:, 0])
+        dogs = np.hstack([self.dogs.mean[:, 0], self.rest])
+        return HerdState(self.sheep.mean[:, 0], self.sheep.mean[:, 1], dogs)
 
 
 @dataclass
@@ -109,6 +115,7 @@ class StateEstimator:
     sensor: Sensor
     control_period: float
     substeps: int
+    motion: MotionModel = Holonomic()
     _estimate: _Estimate | None = field(default=None, init=False)
 
     def reset(self) -> None:
@@ -175,7 +182,8 @@ class StateEstimator:
         return _Estimate(
             t,
             _Tracks.new(ids, sheep, [position, share * velocity]),
-            _Tracks.new(dogs, observed.d[:, None], [position]),
+            _Tracks.new(dogs, observed.dogs[:, None], [position]),
+            observed.d[:, 2:],
         )
 
     def _predicted(self, before: _Estimate, elapsed: float, u: Array) -> _Estimate:
@@ -190,7 +198,8 @@ class StateEstimator:
             sheep=crowd.sheep.without_ranges_below(noise),
             dog=crowd.dog.without_ranges_below(noise),
         )
-        end = rollout(crowd, before.state, u[None, before.dogs.names], dt, steps).at(-1)
+        commands = u[None, before.dogs.names]
+        end = rollout(crowd, before.state, commands, dt, steps, motion=self.motion).at(-1)
         step = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
         force = self._force(before.t, before.state.x)[..., None, None] ** 2 * np.diag([0.0, dt])
         covariance = before.sheep.covariance
@@ -202,7 +211,7 @@ class StateEstimator:
             sheep=replace(
                 before.sheep, mean=np.stack([end.x, end.v], axis=1), covariance=covariance
             ),
-            dogs=replace(before.dogs, mean=end.d[:, None], covariance=slipped),
+            dogs=replace(before.dogs, mean=end.dogs[:, None], covariance=slipped),
         )
 
     def _corrected(self, expected: _Estimate, new: _Estimate, observed: HerdState) -> _Estimate:
@@ -211,7 +220,8 @@ class StateEstimator:
         return _Estimate(
             new.t,
             expected.sheep.corrected(new.sheep, sheep, [position, velocity]),
-            expected.dogs.corrected(new.dogs, observed.d[:, None], [position]),
+            expected.dogs.corrected(new.dogs, observed.dogs[:, None], [position]),
+            new.rest,
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
 
 
@@ -199,6 +200,7 @@ class Control(Parameters):
     """Everything the controller is told besides the crowd."""
 
     max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY)
+    motion: MotionModel = Holonomic()
     weights: Weights = Weights()
     reference: Reference = Reference()
     horizon: Horizon = Horizon()

@@ -135,7 +135,11 @@ class Pilot:
         horizon = planner.control.horizon
         self._period = horizon.control_period
         self._estimator = StateEstimator(
-            planner.crowd, planner.control.sensor, self._period, horizon.substeps
+            planner.crowd,
+            planner.control.sensor,
+            self._period,
+            horizon.substeps,
+            planner.control.motion,
         )
         self._stopping = threading.Event()
         self._events: list[Event] = []

@@ -11,7 +11,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre
@@ -20,7 +19,7 @@ from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState
 
 from . import space_mapping
-from .adjoint import CentreSensitivity, CoarseModel
+from .coarse_model import CentreSensitivity, CoarseModel
 from .costs.cost import Cost
 from .costs.tracking import Tracking
 from .gauss_newton import gauss_newton
@@ -147,7 +146,7 @@ class RecedingHorizon:
         # Of less than two sheep to each blob the limit is no simpler, and worse.
         if len(state.x) > 2 * markers:
             crowd, state = mean_field(crowd, state, markers)
-        return CoarseModel(crowd, state, horizon.dt, horizon.substeps)
+        return CoarseModel(crowd, state, horizon.dt, horizon.substeps, self.control.motion)
 
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
         """Plan the window that starts at t [s] in the given state.
@@ -239,7 +238,7 @@ class RecedingHorizon:
         )
 
     def _admissible(self, u: Array) -> Array:
-        return project(u, self.control.max_speed)
+        return self.control.motion.project(u, self.control.max_speed)
 
     def _map(
         self,
@@ -345,7 +344,8 @@ class RecedingHorizon:
         """Return the expected centre from a state at t [s] on, as a function of the control."""
         horizon, mapping = self.control.horizon, self.control.mapping
         steps = horizon.intervals * horizon.substeps
-        fine = FineModel(self.crowd, state, horizon.dt, steps, horizon.substeps, t)
+        motion = self.control.motion
+        fine = FineModel(self.crowd, state, horizon.dt, steps, horizon.substeps, t, motion)
         estimator = ESTIMATORS[mapping.estimator]
         if self._noise is None or self._noise_sheep != fine.sheep:
             self._noise = Noise(fine, estimator, self.seed)
