@@ -14,7 +14,7 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import physics, reverse_sweep, rollout
 from herding_ros.model.state import Array, HerdState, Trajectory
 
-from .objective import Objective
+from .costs.cost import Cost, Derivatives
 
 
 @dataclass(frozen=True)
@@ -42,17 +42,34 @@ class CoarseModel:
         """L2(0, T) inner product of two controls."""
         return self.interval * float((a * b).sum())
 
-    def value_and_gradient(self, objective: Objective, u: Array) -> tuple[float, Array]:
+    def dogs(self, u: Array) -> Array:
+        """Return the states of the dogs under u, laid out as Trajectory.ds."""
+        moves = self.dt * np.repeat(u, self.substeps, axis=0).transpose(0, 2, 1)
+        return np.add.accumulate(np.concatenate((self.state.d.T[None], moves)))
+
+    def value_and_gradient(self, cost: Cost, u: Array) -> tuple[float, Array]:
         """Return the reduced cost at u and its gradient in L2(0, T), same shape as u.
 
-        The gradient is exact for the discrete problem: gamma (u - u_ref) + nu, with nu from
-        the reverse sweep through the Euler scheme (nu is -xi_3 of the paper), and the gradient
-        of the dogs' own cost, which needs no sweep.
+        The gradient is exact for the discrete problem: the derivative by the dogs' states, to
+        which the reverse sweep through the Euler scheme brings that by the sheep, goes through
+        the transpose of the dogs' motion (-xi_3 of the paper), and the derivative by u adds.
         """
         trajectory = self.rollout(u)
-        value, source, direct = objective.value_and_derivatives(trajectory, u, self.interval)
-        gradient = reverse_sweep(self.crowd, trajectory, source, self.substeps)
-        return value, gradient / self.interval + direct
+        value, by = cost.value_and_derivatives(trajectory, u)
+        gradient = np.zeros_like(u)
+        if by.x is not None:
+            gradient = reverse_sweep(self.crowd, trajectory, by.x, self.substeps) / self.interval
+        return value, gradient + self.dogs_gradient(trajectory.ds, u, by)
+
+    def dogs_gradient(self, ds: Array, u: Array, by: Derivatives) -> Array:
+        """Return the gradient in L2(0, T) of a cost of dogs and controls."""
+        gradient = np.zeros_like(u)
+        if by.d is not None:
+            later = np.cumsum(by.d[:0:-1], axis=0)[::-1].transpose(0, 2, 1)
+            gradient += later.reshape(len(u), -1, *later.shape[1:]).mean(axis=1)
+        if by.u is not None:
+            gradient += by.u
+        return gradient
 
     def centre_sensitivity(self, u: Array, every: int) -> CentreSensitivity:
         """Return the derivative of the sheep's centre at u, at every so many-th step.
