@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.studies.statistics import significant
+from herding_ros.report.statistics import significant
 
 Entry = dict[str, Any]
 """What one benchmark recorded: `what` it measured, the case, and its figures."""

@@ -12,7 +12,7 @@ from benchmark.memory import IMPLEMENTATIONS
 from benchmark.problem import DOGS, SHEEP
 from benchmark.results import Entry, Results, Spread
 from herding_ros.studies import markdown
-from herding_ros.studies.statistics import significant
+from herding_ros.report.statistics import significant
 
 NOT_MEASURED = 'not measured'
 

@@ -97,7 +97,7 @@ class _Belief:
 
 
 @dataclass
-class Estimator:
+class StateEstimator:
     """Filters the noise out of observations, one after the other.
 
     control_period: usual time between two of them [s], predicted in `substeps` steps. Crowd and

@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import block_diag, solve_discrete_are
 
 from herding_ros.control.closed_loop import closed_loop, play
-from herding_ros.control.estimator import Estimator
+from herding_ros.control.estimator import StateEstimator
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd, CROWDS
@@ -32,8 +32,8 @@ APART = Crowd(sheep=NO_FORCE, dog=NO_FORCE)
 SLIP = 0.01
 
 
-def estimator(crowd: Crowd = FLOCK, sensor: Sensor = NOISY) -> Estimator:
-    return Estimator(crowd, sensor, PERIOD, SUBSTEPS)
+def estimator(crowd: Crowd = FLOCK, sensor: Sensor = NOISY) -> StateEstimator:
+    return StateEstimator(crowd, sensor, PERIOD, SUBSTEPS)
 
 
 def blurred(state: HerdState, rng: np.random.Generator, noise: float = 0.05) -> HerdState:
@@ -394,7 +394,7 @@ def test_a_first_observation_that_was_a_mistake_is_corrected_at_once() -> None:
     np.testing.assert_array_equal(ours.update(0.1, np.arange(2), still, u).x[1], still.x[1])
 
 
-def run_until(t: float) -> Estimator:
+def run_until(t: float) -> StateEstimator:
     ours = estimator()
     herd = HerdState(np.eye(2), np.zeros((2, 2)), np.ones((1, 2)))
     for k in range(round(t / PERIOD) + 1):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One window of Table 1: a flock, its dogs, and the noise that a plan has to cope with."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Direct optimisation of the fine model: what a mapping could reach, and what it costs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's Algorithm 1 put together from its parts, to see what each of them does."""
 
 from __future__ import annotations

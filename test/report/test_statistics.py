@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from herding_ros.studies.statistics import Fraction, Mean, Median, significant
+from herding_ros.report.statistics import Fraction, Mean, Median, significant
 
 
 @pytest.mark.parametrize(
