@@ -11,8 +11,8 @@ from benchmark.goals import Goal, GOALS
 from benchmark.memory import IMPLEMENTATIONS
 from benchmark.problem import DOGS, SHEEP
 from benchmark.results import Entry, Results, Spread
-from herding_ros.studies import markdown
 from herding_ros.report.statistics import significant
+from herding_ros.studies import markdown
 
 NOT_MEASURED = 'not measured'
 

@@ -9,8 +9,8 @@ from typing import TypeVar
 from herding_ros.model.flock import centre
 from herding_ros.model.state import Array
 
+from .added_cost import AddedCost
 from .adjoint import CentreSensitivity, CoarseModel
-from .bregman import BregmanDistance
 from .costs.cost import Cost
 from .gauss_newton import gauss_newton
 from .solution import Budget, never, OutOfTime, Problem, Projection
@@ -29,11 +29,9 @@ _MAX_ITERATIONS = 5
 class ParameterExtraction:
     """Admissible controls u under which the coarse centre c(u) is near a target (paper, T).
 
-    Minimises |c(u) - target|^2 / 2 + damping (1/2 |u - anchor|^2 + D(u) / gamma) in L2(0, T).
-    gamma is the weight of control effort, and D the Bregman distance of the other costs that
-    depend on dogs or controls from the coarse optimum u_c. So each correction is measured by
-    what the costs charge for it, u_c is the minimum where there is no defect, and as the damping
-    falls the target gains over both.
+    Minimises |c(u) - target|^2 / 2 + damping / 2 |u - anchor|^2 + D(u) in L2(0, T), with D what
+    u adds to the costs of dogs and controls of the coarse optimum u_c. So a correction pays for
+    what it undoes, and u_c is the minimum where there is no defect.
     """
 
     def __init__(
@@ -47,12 +45,13 @@ class ParameterExtraction:
     ) -> None:
         """Prepare for the window of a coarse model with the optimum u_coarse.
 
-        gamma [s^2] is the weight of control effort, which is not among `costs`.
+        gamma [s^2] is the weight of control effort, which is the damping of `extract` and not
+        among `costs`.
         """
         self._coarse, self._project = coarse, project
         self._u_coarse, self._gamma = u_coarse, gamma
         self._budget = Budget(_MAX_ITERATIONS, _TOLERANCE, out_of_time)
-        self._distance = BregmanDistance.from_plan(coarse, costs, u_coarse)
+        self._added = AddedCost.to_plan(coarse, costs, u_coarse)
         every = max(round(_NODE_SPACING / coarse.dt), 1)
         self.centre = remembering(lambda u: centre(coarse.rollout(u).x))
         """The coarse centre under a control, (K+1, 2) [m]."""
@@ -68,10 +67,7 @@ class ParameterExtraction:
         return self._search(target, u, u, damping, lambda _: self._sensitivity(self._u_coarse))
 
     def extract(self, target: Array, start: Array) -> Array:
-        """Return the control near u_c under which the centre is at target, searched from start.
-
-        Control effort and D count as they do in the cost: the damping is gamma.
-        """
+        """Return the control near u_c under which the centre is at target, searched from start."""
         return self._search(target, start, self._u_coarse, self._gamma, self._sensitivity)
 
     def _search(
@@ -82,16 +78,16 @@ class ParameterExtraction:
         damping: float,
         linearise: Callable[[Array], CentreSensitivity],
     ) -> Array:
-        coarse, distance, scale = self._coarse, self._distance, damping / self._gamma
+        coarse, added = self._coarse, self._added
         nodes = linearise(start)
 
         def regulariser(u: Array) -> tuple[float, Array]:
             change = u - anchor
             value, gradient = 0.5 * damping * coarse.inner(change, change), damping * change
-            if distance is None:
+            if added is None:
                 return value, gradient
-            further, further_gradient = distance(u)
-            return value + scale * further, gradient + scale * further_gradient
+            more, more_gradient = added(u)
+            return value + more, gradient + more_gradient
 
         found = gauss_newton(
             lambda u: nodes.residual(self.centre(u) - target),

@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from herding_ros.model.parameters import Parameters, quantity, TINY
+
+if TYPE_CHECKING:
+    from herding_ros.model.simulation import World
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,15 @@ class Horizon(Parameters):
     def dt(self) -> float:
         """Time step of the prediction [s]."""
         return self.control_period / self.substeps
+
+
+def check_lockstep(horizon: Horizon, world: World) -> None:
+    """Raise ValueError unless a command is as long to the controller as to the world."""
+    if abs(horizon.control_period / world.control_period - 1.0) > 1e-6:
+        raise ValueError(
+            'Horizon.control_period must be World.dt * World.substeps, '
+            f'got {horizon.control_period:g} s and {world.control_period:g} s'
+        )
 
 
 @dataclass(frozen=True)

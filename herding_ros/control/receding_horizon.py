@@ -11,7 +11,7 @@ import numpy as np
 
 from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
+from herding_ros.model.expectation import ExpectedCentre, Noise
 from herding_ros.model.flock import centre
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.sampling import ESTIMATORS, FineModel
@@ -22,8 +22,8 @@ from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
 from .ncg import ncg
 from .objective import Objective, weighted_costs
-from .parameters import Control
 from .parameter_extraction import ParameterExtraction
+from .parameters import Control
 from .plan import Plan
 from .reference import reference
 from .solution import Budget, never, NoTimeFor, OutOfTime, Problem, Solution, Status

@@ -57,7 +57,9 @@ class SolveReport:
             if isinstance(value, Status):
                 found[field.name] = value.value
             elif isinstance(value, tuple):
-                found[field.name] = ' '.join(f'{each:.3g}' for each in value)
+                found[field.name] = ' '.join(
+                    str(n) if isinstance(n, int) else f'{n:.3g}' for n in value
+                )
             elif not isinstance(value, dict):
                 found[field.name] = value
         return {**found, **milliseconds}

@@ -24,9 +24,7 @@ class Derivatives:
 
     def __add__(self, other: Derivatives) -> Derivatives:
         """Return the derivatives of the sum of two costs."""
-        return Derivatives(
-            _sum(self.x, other.x), _sum(self.d, other.d), _sum(self.u, other.u)
-        )
+        return Derivatives(_sum(self.x, other.x), _sum(self.d, other.d), _sum(self.u, other.u))
 
 
 def _sum(a: Array | None, b: Array | None) -> Array | None:

@@ -10,7 +10,8 @@ import numpy as np
 
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.parameters import Control
-from herding_ros.control.receding_horizon import RecedingHorizon, Window
+from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.control.window import Window
 from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.ensemble import expected_positions

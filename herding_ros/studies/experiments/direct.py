@@ -10,6 +10,7 @@ import numpy as np
 
 from herding_ros.control.adjoint import CoarseModel
 from herding_ros.control.parameters import Control
+from herding_ros.control.solution import Budget, Problem
 from herding_ros.control.spg import spg
 from herding_ros.model import kernels
 from herding_ros.model.dynamics import physics, rollout
@@ -77,7 +78,8 @@ def run(
         errors.append(math.sqrt(2.0 * value))
         return value / first, gradient / first
 
-    found = spg(value_and_gradient, case.admissible, u_coarse, model.inner, _TOLERANCE, iterations)
+    problem = Problem(value_and_gradient, case.admissible, model.inner)
+    found = spg(problem, u_coarse, Budget(iterations, _TOLERANCE))
     return {
         'status': found.status.value,
         'before': errors[0],

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from herding_ros.control.closed_loop import ClosedLoopRun
-from herding_ros.control.receding_horizon import SolveReport
+from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.flock import centre, distance, spread
 from herding_ros.model.state import Array
 
@@ -38,7 +38,9 @@ def measures(run: ClosedLoopRun, goal: Array, period: float) -> dict[str, Any]:
     }
 
 
-def held(run: ClosedLoopRun, spreads: Array, away: Array, home: int, period: float) -> dict[str, Any] | None:
+def held(
+    run: ClosedLoopRun, spreads: Array, away: Array, home: int, period: float
+) -> dict[str, Any] | None:
     """Return what held from the instant number `home` on; None if the run ended there.
 
     turning: mean angular velocity of each dog about the centre, anticlockwise [rad/s];
@@ -89,7 +91,9 @@ def course(run: ClosedLoopRun, goal: Array, every: int) -> dict[str, Any]:
     }
 
 
-def snapshots_at(run: ClosedLoopRun, instants: Sequence[float], period: float) -> list[dict[str, Any]]:
+def snapshots_at(
+    run: ClosedLoopRun, instants: Sequence[float], period: float
+) -> list[dict[str, Any]]:
     """Return the positions at these instants [s], as far as the run got."""
     numbers = {t: round(t / period) for t in instants}
     return [
