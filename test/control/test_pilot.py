@@ -454,6 +454,7 @@ def test_a_dog_whose_radio_comes_and_goes_does_not_stop_the_others() -> None:
     for k in range(600):
         field.dogs = (0, 1, 2) if k % 29 < 19 else (0, 1)
         assert goal_of(command(field.tick()))[:2] == [GOAL] * 2
+    assert len(field.said('no odometry from dog_3')) == 2  # in a minute, of twenty times
     assert field.pilot.plans_failed == field.pilot.deadlines_missed == 0
 
 
