@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from benchmark.peers import scipy_lbfgsb
-from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.objective import Objective, weighted_costs
 from herding_ros.control.parameters import Control
 from herding_ros.control.reference import reference
 from herding_ros.control.solution import Budget, Problem
 from herding_ros.control.spg import spg
-from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.simulation import Simulation, World
@@ -63,7 +62,7 @@ class Race:
         return Problem(self.value_and_gradient, self._admissible, self.coarse.inner)
 
     def _admissible(self, u: Array) -> Array:
-        return project(u, self.control.max_speed)
+        return self.control.motion.project(u, self.control.max_speed)
 
     def ours(self) -> int:
         """Run SPG; return the number of values and gradients that it took."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from herding_ros.model.state import Array, Trajectory
 
-from .adjoint import CoarseModel
+from .coarse_model import CoarseModel
 from .costs.cost import Cost
 from .objective import Objective
 
@@ -51,7 +51,7 @@ class AddedCost:
         added, width = value - self.value, _SMOOTHING * abs(self.value)
         if added <= 0.0:
             return 0.0, np.zeros_like(u)
-        gradient = self.coarse.dogs_gradient(moved.ds, u, by)
+        gradient = self.coarse.gradient(moved, u, replace(by, x=None))
         if added < width:
             return added**2 / (2.0 * width), added / width * gradient
         return added - 0.5 * width, gradient

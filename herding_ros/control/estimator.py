@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
+from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.noise import strength
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, finite, HerdState
@@ -109,6 +110,7 @@ class StateEstimator:
     sensor: Sensor
     control_period: float
     substeps: int
+    motion: MotionModel = Holonomic()
     _estimate: _Estimate | None = field(default=None, init=False)
 
     def reset(self) -> None:
@@ -190,7 +192,8 @@ class StateEstimator:
             sheep=crowd.sheep.without_ranges_below(noise),
             dog=crowd.dog.without_ranges_below(noise),
         )
-        end = rollout(crowd, before.state, u[None, before.dogs.names], dt, steps).at(-1)
+        commands = u[None, before.dogs.names]
+        end = rollout(crowd, before.state, commands, dt, steps, motion=self.motion).at(-1)
         step = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
         force = self._force(before.t, before.state.x)[..., None, None] ** 2 * np.diag([0.0, dt])
         covariance = before.sheep.covariance
@@ -202,7 +205,7 @@ class StateEstimator:
             sheep=replace(
                 before.sheep, mean=np.stack([end.x, end.v], axis=1), covariance=covariance
             ),
-            dogs=replace(before.dogs, mean=end.d[:, None], covariance=slipped),
+            dogs=replace(before.dogs, mean=end.dogs[:, None], covariance=slipped),
         )
 
     def _corrected(self, expected: _Estimate, new: _Estimate, observed: HerdState) -> _Estimate:

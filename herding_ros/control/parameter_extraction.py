@@ -10,7 +10,7 @@ from herding_ros.model.flock import centre
 from herding_ros.model.state import Array
 
 from .added_cost import AddedCost
-from .adjoint import CentreSensitivity, CoarseModel
+from .coarse_model import CentreSensitivity, CoarseModel
 from .costs.cost import Cost
 from .gauss_newton import gauss_newton
 from .solution import Budget, never, OutOfTime, Problem, Projection

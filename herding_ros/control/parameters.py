@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
 
 if TYPE_CHECKING:
@@ -199,6 +200,7 @@ class Control(Parameters):
     """All parameters of the controller besides the crowd."""
 
     max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY)
+    motion: MotionModel = Holonomic()
     weights: Weights = Weights()
     reference: Reference = Reference()
     horizon: Horizon = Horizon()

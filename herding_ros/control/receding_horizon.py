@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 
-from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import ExpectedCentre, Noise
 from herding_ros.model.flock import centre
@@ -17,7 +16,7 @@ from herding_ros.model.mean_field import mean_field
 from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState
 
-from .adjoint import CoarseModel
+from .coarse_model import CoarseModel
 from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
 from .ncg import ncg
@@ -98,7 +97,7 @@ class RecedingHorizon:
         # Of less than two sheep to each blob the limit is no simpler, and worse.
         if len(state.x) > 2 * markers:
             crowd, state = mean_field(crowd, state, markers)
-        return CoarseModel(crowd, state, horizon.dt, horizon.substeps)
+        return CoarseModel(crowd, state, horizon.dt, horizon.substeps, self.control.motion)
 
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
         """Plan the window that starts at t [s] in the given state.
@@ -157,7 +156,8 @@ class RecedingHorizon:
             mapping_error_after=min(mapping.misfits, default=0.0),
             seconds=clock.seconds(),
         )
-        return Window(plan, report, horizon.dt, mapping.output, coarse.rollout(plan.u).d)
+        dogs = coarse.dogs(plan.u)[:, :2].transpose(0, 2, 1)
+        return Window(plan, report, horizon.dt, mapping.output, dogs)
 
     def _solve_coarse(
         self, coarse: CoarseModel, t: float, out_of_time: OutOfTime
@@ -197,7 +197,7 @@ class RecedingHorizon:
         return solution, costs
 
     def _admissible(self, u: Array) -> Array:
-        return project(u, self.control.max_speed)
+        return self.control.motion.project(u, self.control.max_speed)
 
     def _map(
         self,
@@ -234,7 +234,8 @@ class RecedingHorizon:
         """Return the expected centre from a state at t [s] on, as a function of the control."""
         horizon, mapping = self.control.horizon, self.control.mapping
         steps = horizon.intervals * horizon.substeps
-        fine = FineModel(self.crowd, state, horizon.dt, steps, horizon.substeps, t)
+        motion = self.control.motion
+        fine = FineModel(self.crowd, state, horizon.dt, steps, horizon.substeps, t, motion)
         estimator = ESTIMATORS[mapping.estimator]
         if self._noise is None or self._noise_sheep != fine.sheep:
             self._noise = Noise(fine, estimator, self.seed)

@@ -577,8 +577,8 @@ def test_flock_comes_home_under_bad_sensors(seed: int) -> None:
         ({'dogs': (0, 2)}, r'dogs must be rows of u, 0 to 1, got \[0, 2\]'),
         ({'dogs': (-1, 0)}, r'dogs must be rows of u, 0 to 1, got \[-1, 0\]'),
         ({'u': np.zeros((1, 2))}, r'names of dogs: expected shape \(2,\), .* got \(1,\)'),
-        ({'u': np.zeros((2, 3))}, r'u .*shape.*\(2, 3\)'),
-        ({'u': np.full((2, 2), np.nan)}, 'u holds NaN'),
+        ({'u': np.zeros((2, 3))}, r'u must have shape \(any, 2\), got'),
+        ({'u': np.full((2, 2), np.nan)}, 'u must be finite'),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(

@@ -12,14 +12,16 @@ import pytest
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control, Horizon, Optimiser, PAPER
-from herding_ros.model.admissible import project
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.noise import noise_paths
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.case import Case
 from herding_ros.studies.experiments.direct import pathwise_gradient
 from herding_ros.studies.experiments.settings import changed, differences
+
+project = Holonomic().project
 
 SHORT = Horizon(length=8.0, accepted=4.0)
 MAPPING = replace(PAPER.mapping, method='output', paths=20, max_iterations=2, tolerance=0.0)
