@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from herding_ros.control.coarse_model import CoarseModel
+from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
@@ -67,7 +68,7 @@ class Problem:
     @cached_property
     def objective(self) -> Objective:
         """The cost of a window."""
-        return Objective([self.tracking], Control().weights.control, np.zeros_like(self.u))
+        return Objective([self.tracking, ControlEffort(Control().weights.control)])
 
     def value_and_gradient(self) -> tuple[float, Array]:
         """Return our value, and our gradient in L2(0, T), (intervals, M, 2)."""

@@ -12,7 +12,8 @@ import numpy as np
 
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.parameters import Control
-from herding_ros.control.receding_horizon import RecedingHorizon, Window
+from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre

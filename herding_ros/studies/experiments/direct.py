@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from herding_ros.control.coarse_model import CoarseModel
+from herding_ros.control.solution import Budget, Problem
 from herding_ros.control.spg import spg
 from herding_ros.model.dynamics import reverse_sweep, rollout
 from herding_ros.model.flock import centre
@@ -70,7 +71,8 @@ def run(case: Case, iterations: int, judge_paths: int) -> dict[str, Any]:
         errors.append(math.sqrt(2.0 * value))
         return value / first, gradient / first
 
-    found = spg(value_and_gradient, case.admissible, u_coarse, model.inner, _TOLERANCE, iterations)
+    problem = Problem(value_and_gradient, case.admissible, model.inner)
+    found = spg(problem, u_coarse, Budget(iterations, _TOLERANCE))
     return {
         'status': found.status.value,
         'before': errors[0],
