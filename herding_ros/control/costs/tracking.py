@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from herding_ros.model import kernels
 from herding_ros.model.state import Array, Trajectory
+from herding_ros.model.tracking_cost import tracking_cost
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Tracking:
     def value_and_derivative(self, trajectory: Trajectory) -> tuple[float, Array]:
         """Return C and its derivative by xs."""
         derivative = np.empty_like(trajectory.xs)
-        value = kernels.tracking_cost(
+        value = tracking_cost(
             trajectory.xs,
             self.reference,
             trajectory.n,
