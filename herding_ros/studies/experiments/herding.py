@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.control.closed_loop import Planner, play, Policy, Run
+from herding_ros.control.closed_loop import as_policy, ClosedLoopRun, play, Policy
 from herding_ros.control.parameters import Control
-from herding_ros.control.receding_horizon import SolveReport
+from herding_ros.control.pilot import LockstepPilot
+from herding_ros.control.receding_horizon import RecedingHorizon, SolveReport
 from herding_ros.model.crowd import CROWDS
 from herding_ros.model.flock import centre, distance, spread
 from herding_ros.model.potentials import Morse
@@ -65,8 +66,10 @@ def run(
     destination = np.array(goal)
     world = World(sheep=sheep, dogs=dogs, seed=seed)
     decide: Policy
+    reports: list[SolveReport] = []
     if policy == 'planner':
-        decide = Planner(herd, changed(Control(), settings), destination, seed)
+        planner = RecedingHorizon(herd, changed(Control(), settings), destination, seed)
+        decide = as_policy(LockstepPilot(planner, dogs), reports)
     elif policy == 'strombom':
         decide = Strombom(destination, np.random.default_rng([seed, 30_000]), **settings)
     elif policy == 'none':
@@ -78,8 +81,8 @@ def run(
     track = play(Simulation(herd, world, destination), timed, time_limit, stop)
     result = measures(track, destination, world.control_period)
     result['policy_cpu'] = timed.seconds
-    if isinstance(decide, Planner):
-        result['plans'] = plans(decide.reports)
+    if reports:
+        result['plans'] = plans(reports)
     result['paths'] = paths(track, destination, max(round(every / world.control_period), 1))
     result['snapshots'] = [
         {'t': t, 'x': rounded(track.x[k]), 'd': rounded(track.d[k])}
@@ -94,7 +97,7 @@ def _stand(observed: HerdState, t: float) -> Array:
     return np.zeros_like(observed.d)
 
 
-def measures(track: Run, goal: Array, period: float) -> dict[str, Any]:
+def measures(track: ClosedLoopRun, goal: Array, period: float) -> dict[str, Any]:
     """Return what one wants to know of a run. Lengths in m, times in s, energy in m^2/s.
 
     dogs_run: way of all dogs; energy: int sum |u_m|^2 dt; from_home: what held from the
@@ -118,7 +121,7 @@ def measures(track: Run, goal: Array, period: float) -> dict[str, Any]:
 
 
 def held(
-    track: Run, spreads: Array, away: Array, home: int, period: float
+    track: ClosedLoopRun, spreads: Array, away: Array, home: int, period: float
 ) -> dict[str, Any] | None:
     """Return what held from the instant number `home` on; None if nothing came after it.
 
@@ -155,7 +158,7 @@ def plans(reports: list[SolveReport]) -> dict[str, Any]:
     }
 
 
-def paths(track: Run, goal: Array, every: int) -> dict[str, Any]:
+def paths(track: ClosedLoopRun, goal: Array, every: int) -> dict[str, Any]:
     """Return the run at every so many-th instant, and at the last, rounded, for pictures."""
     index = sorted({*range(0, len(track.t), every), len(track.t) - 1})
     x = track.x[index]

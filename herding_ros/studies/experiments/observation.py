@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.control.closed_loop import Planner, play
+from herding_ros.control.closed_loop import as_policy, play
 from herding_ros.control.parameters import Control
+from herding_ros.control.pilot import LockstepPilot
+from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import spread
 from herding_ros.model.simulation import Simulation, World
@@ -22,18 +24,19 @@ _QUANTITIES = {'position': 'x', 'velocity': 'v', 'dog': 'd'}
 class Watched:
     """The controller, with how far what it sees and what it believes are from the truth."""
 
-    def __init__(self, planner: Planner, simulation: Simulation) -> None:
+    def __init__(self, pilot: LockstepPilot, simulation: Simulation) -> None:
         """Watch this controller in this world."""
-        self._planner = planner
+        self._pilot = pilot
+        self._policy = as_policy(pilot, [])
         self._simulation = simulation
         self._squares: dict[str, list[list[float]]] = {'seen': [], 'believed': []}
 
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the velocities that the controller wants."""
-        u = self._planner(observed, t)
-        believed = self._planner.believed
-        assert believed is not None
-        for name, state in (('seen', observed), ('believed', believed)):
+        u = self._policy(observed, t)
+        estimate = self._pilot.estimate
+        assert estimate is not None
+        for name, state in (('seen', observed), ('believed', estimate.state)):
             self._squares[name].append(
                 [
                     float(np.square(getattr(state, a) - getattr(self._simulation.state, a)).mean())
@@ -77,7 +80,8 @@ def run(
     crowd, destination = Crowd(noise=sigma), np.array(goal)
     world = World(sheep=sheep, dogs=dogs, seed=seed, position_noise=noise, velocity_noise=noise)
     simulation = Simulation(crowd, world, destination)
-    watched = Watched(Planner(crowd, changed(Control(), settings), destination, seed), simulation)
+    planner = RecedingHorizon(crowd, changed(Control(), settings), destination, seed)
+    watched = Watched(LockstepPilot(planner, dogs), simulation)
     track = play(simulation, watched, time_limit)
     return {
         **measures(track, destination, world.control_period),
