@@ -1,7 +1,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from herding_ros.model import fast_forces
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import forces, reverse_sweep, rollout
 from herding_ros.model.expectation import mean_centre
-from herding_ros.model.external_force import register
+from herding_ros.model.external_force import Form, register
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.noise import increments, noise_paths
@@ -24,12 +23,7 @@ from herding_ros.model.state import Array, HerdState
 HerdMaker = Callable[..., HerdState]
 
 
-# What a file with a new force holds: its parameters, its form, force and product.
-
-
-class RipplesForm(NamedTuple):
-    height: float
-    wave: float
+# What a file with a new force holds: its parameters, force and product.
 
 
 @dataclass(frozen=True)
@@ -39,27 +33,28 @@ class Ripples(Parameters):
     height: float = quantity(0.02, 'height', 'm^2/s^2')
     wave: float = quantity(5.0, 'wave number', '1/m')
 
-    def kernel_form(self) -> RipplesForm:
-        return RipplesForm(self.height, self.wave)
+    def kernel_form(self) -> Form:
+        return FORM(self.height, self.wave)
 
 
-def ripples_force(x, y, form):  # type: ignore[no-untyped-def]
-    k, h = form.wave, form.height * form.wave
+def ripples_force(x, y, values):  # type: ignore[no-untyped-def]
+    height, k = values
+    h = height * k
     return (
         -h * math.cos(k * x) * math.cos(k * y),
         h * math.sin(k * x) * math.sin(k * y),
     )
 
 
-def ripples_product(x, y, w_x, w_y, form):  # type: ignore[no-untyped-def]
-    k = form.wave
-    h = form.height * k * k
+def ripples_product(x, y, w_x, w_y, values):  # type: ignore[no-untyped-def]
+    height, k = values
+    h = height * k * k
     along = -h * math.sin(k * x) * math.cos(k * y)
     across = -h * math.cos(k * x) * math.sin(k * y)
     return along * w_x + across * w_y, across * w_x + along * w_y
 
 
-register(RipplesForm, ripples_force, ripples_product)
+FORM = register('ripples', ripples_force, ripples_product)
 
 HILLS = Ripples()
 CROWD = Crowd(external=HILLS, noise=0.03)
