@@ -12,7 +12,7 @@ from herding_ros.report.markdown import table
 from herding_ros.report.style import BLUE, COLOURS, GREY, legend, new, RED, save
 
 from .pictures import draw_runs, draw_times
-from .runs import failures, LIMIT, median_time, number, outcome, run_task, success, summary
+from .runs import arrival_row, failures, LIMIT, number, run_task, summary
 from .study import Options, Results, Row, Section
 from .task import Task
 
@@ -100,11 +100,6 @@ def _rows(runs: _Runs) -> list[Row]:
     rows = []
     for agents in _AGENTS:
         dogs, guides, fast = (runs[name, agents] for name in _LEADERS)
-        if len(guides):
-            what = f'{number(agents, "guide")}: time of arrival'
-            remark = (
-                f'{success(guides)} safe; faster reference: {outcome(fast)}; '
-                f'as many dogs: {outcome(dogs)}'
-            )
-            rows.append(Row(what, 'a remark', f'{median_time(guides)} s', remark))
+        others = {'faster reference': fast, 'as many dogs': dogs}
+        rows += arrival_row(number(agents, 'guide'), 'a remark', guides, others)
     return rows
