@@ -37,7 +37,7 @@ _PLANS = {
 
 def _control(estimator: str) -> dict[str, Any]:
     """Settings of the paper's window with our mapping, four iterations in any case."""
-    mapping = Mapping('output', estimator, 0.0, max_iterations=4, accuracy=1e-9)
+    mapping = Mapping('output', estimator, 0.0, max_iterations=4, tolerance=0.0)
     return differences(replace(PAPER, mapping=mapping), Control())
 
 

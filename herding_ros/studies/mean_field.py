@@ -90,7 +90,7 @@ def _control(markers: int, options: Options) -> dict[str, Any]:
         'mapping': {
             'paths': options.path_number(_PATHS),
             'max_iterations': 1 if options.quick else _ITERATIONS,
-            'accuracy': 1e-4,
+            'tolerance': 1e-4,
         },
         'coarse': {'markers': markers},
     }

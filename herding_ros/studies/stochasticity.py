@@ -37,12 +37,10 @@ _PAPER_ITERATIONS = dict(zip(SIGMAS[:3], (0, 1, 3), strict=True))
 _RATIO_GOALS = {0.02: 0.12, 0.03: 0.13, 0.04: 0.27}
 
 _MAPPINGS = {
-    'output': replace(PAPER.mapping, method='output', max_iterations=_ITERATIONS, accuracy=1e-9),
-    'aggressive': replace(
-        PAPER.mapping, max_iterations=_ITERATIONS, tolerance=0.0, min_decrease=-1e9
-    ),
+    'output': replace(PAPER.mapping, method='output', max_iterations=_ITERATIONS, tolerance=0.0),
+    'aggressive': replace(PAPER.mapping, max_iterations=_ITERATIONS, tolerance=0.0),
     'paper': PAPER.mapping,
-    'multilevel': Mapping('output', max_iterations=_ITERATIONS, accuracy=1e-9),
+    'multilevel': Mapping('output', max_iterations=_ITERATIONS, tolerance=0.0),
 }
 """Our mapping and the paper's with four iterations in any case; the paper's stopping rule.
 

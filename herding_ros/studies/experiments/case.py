@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.parameters import Control
-from herding_ros.control.receding_horizon import RecedingHorizon, Window
-from herding_ros.model.admissible import project
+from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.flock import centre
@@ -95,7 +95,7 @@ class Case:
 
     def admissible(self, u: Array) -> Array:
         """Return the nearest control within the speed limit."""
-        return project(u, self.control.max_speed)
+        return self.control.motion.project(u, self.control.max_speed)
 
     def plan(self, control: Control) -> Window:
         """Return what the controller plans, with the noise that is seen."""

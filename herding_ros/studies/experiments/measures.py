@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from herding_ros.control.closed_loop import ClosedLoopRun
-from herding_ros.control.receding_horizon import SolveReport
+from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.flock import centre, distance, spread
 from herding_ros.model.state import Array
 

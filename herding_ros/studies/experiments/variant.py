@@ -5,15 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+import math
 from typing import Any
 
 import numpy as np
 
+from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.receding_horizon import OPTIMISERS
-from herding_ros.control.solution import Solution
-from herding_ros.control.space_mapping import aggressive
+from herding_ros.control.solution import Budget, Problem, Solution
+from herding_ros.control.space_mapping import aggressive_mapping, MappingProblem
 from herding_ros.model.state import Array
 
 from .case import Case
@@ -37,15 +39,11 @@ def extraction(case: Case, optimiser: str, observable: str) -> Callable[[Array, 
     def extract(target: Array, start: Array) -> Solution:
         anchor = case.deterministic.plan.u
         gamma = case.control.weights.control
-        objective = Objective([Tracking(*weights, target)], gamma, anchor)
-        return OPTIMISERS[optimiser](
-            partial(case.coarse.value_and_gradient, objective),
-            case.admissible,
-            start,
-            case.coarse.inner,
-            _TOLERANCE,
-            _MAX_ITERATIONS,
+        objective = Objective([Tracking(*weights, target), ControlEffort(gamma, anchor)])
+        problem = Problem(
+            partial(case.coarse.value_and_gradient, objective), case.admissible, case.coarse.inner
         )
+        return OPTIMISERS[optimiser](problem, start, Budget(_MAX_ITERATIONS, _TOLERANCE))
 
     return extract
 
@@ -82,16 +80,13 @@ def run(
         calls += found.calls
         return found.u
 
-    mapped = aggressive(
-        fine,
+    mapped = aggressive_mapping(
+        MappingProblem(fine, case.error, u_coarse),
         extract,
-        case.error,
         case.admissible,
-        u_coarse,
         model.inner,
-        tolerance=0.0,
-        min_decrease=-1e9,
-        max_iterations=iterations,
+        Budget(iterations),
+        min_decrease=-math.inf,
         quasi_newton=broyden,
     )
     return {

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.control.receding_horizon import SolveReport
+from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import centre
 from herding_ros.model.kernels import PATHS
