@@ -113,7 +113,7 @@ def summary(runs: Results) -> dict[str, object]:
         ),
         'largest spread, mean [m]': runs.mean('max_spread'),
         'largest of all [m]': float(max(runs.values('max_spread'), default=math.nan)),
-        'way of a dog [m]': Mean.of(
+        'path of a dog [m]': Mean.of(
             [run['dogs_run'] / len(run['paths']['dogs'][0]) for run in runs]
         ),
         'energy ∫ Σ\\|u\\|² dt [m²/s]': runs.mean('energy'),
