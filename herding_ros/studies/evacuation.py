@@ -17,7 +17,7 @@ from .study import Options, Results, Row, Section
 from .task import Task
 
 TITLE = 'Evacuation: guides in place of dogs'
-DESCRIPTION = 'a crowd led by 1 to 5 guides, against dogs and against nobody'
+DESCRIPTION = 'a crowd led by 1 to 5 guides, compared with dogs and with no leader'
 
 _AGENTS = (1, 2, 3, 4, 5)
 _LEADERS: dict[str, dict[str, Any]] = {
@@ -77,7 +77,7 @@ def _table(runs: _Runs, alone: Results) -> str:
     ]
     if len(alone):
         columns = summary(alone)
-        unknown = dict.fromkeys(list(columns)[-2:], '–')  # way and energy of a dog
+        unknown = dict.fromkeys(list(columns)[-2:], '–')  # path and energy of a dog
         rows.append({'number': 0, 'led by': 'nobody', **columns, **unknown})
     return table(rows)
 
