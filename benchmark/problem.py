@@ -34,7 +34,7 @@ SUBSTEPS = 10
 
 @dataclass(frozen=True)
 class Problem:
-    """A flock, its dogs, a cost and a control at which everybody takes value and gradient.
+    """A flock, its dogs, a cost, and the control at which value and gradient are computed.
 
     The starting positions are those of the package's scenario, the cost has the controller's
     default weights and reference, the control is random within the speed limit.
@@ -92,7 +92,7 @@ class Problem:
 
     @property
     def interactions(self) -> int:
-        """Forces of one individual on one sheep in a step: from other sheep, and from dogs."""
+        """Number of forces of single sheep and dogs on single sheep in a step."""
         return self.sheep * (self.sheep - 1) + self.sheep * self.dogs
 
     @property
