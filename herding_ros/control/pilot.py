@@ -23,12 +23,15 @@ from herding_ros.model.state import Array, finite, HerdState
 
 from .estimator import StateEstimator
 from .parameters import Control
-from .receding_horizon import Window
 from .schedule import Request, ScheduledPlan
 from .solution import NoTimeFor
+from .window import Window
 
 SLACK = 1e-6
 """Seconds since 1970 in double precision are exact to 2.4e-7 s."""
+
+_REPEAT = 30.0
+"""Time after which an event is reported again that has occurred again [s]."""
 
 
 class Planner(Protocol):
@@ -132,16 +135,22 @@ class Pilot:
         horizon = planner.control.horizon
         self._period = horizon.control_period
         self._estimator = StateEstimator(
-            planner.crowd, planner.control.sensor, self._period, horizon.substeps
+            planner.crowd,
+            planner.control.sensor,
+            self._period,
+            horizon.substeps,
+            planner.control.motion,
         )
         self._stopping = threading.Event()
         self._events: list[Event] = []
+        self._said: dict[str, float] = {}  # when
         self._error: Exception | None = None
         self._start_afresh()
 
     def _start_afresh(self) -> None:
         """Forget the past, as at the start or when time was set back."""
         self._time = -math.inf
+        self._said.clear()
         self._visible: tuple[int, ...] = ()
         self._command: Array = np.zeros((self.dogs, 2))  # the last one
         self._afresh = True
@@ -215,7 +224,10 @@ class Pilot:
         self.plans_failed += 1
 
     def _say(self, level: str, text: str) -> None:
-        self._events.append(Event(level, text))
+        """Add an event, unless the same one was added recently."""
+        if not self._time < self._said.get(text, -math.inf) + _REPEAT:
+            self._said[text] = self._time
+            self._events.append(Event(level, text))
 
     def _decision(self, command: Array | None, announcement: Announcement | None) -> Decision:
         if command is not None:

@@ -153,13 +153,16 @@ class RealTimePilot(Pilot):
         times = estimate.t + self._period * np.arange(periods)
         u = np.array([self._schedule.velocities(t, self.dogs) for t in times])
         self._prepare_planner()
-        planner, crowd, horizon = self._planner, self._crowd, self._control.horizon
+        planner, crowd = self._planner, self._crowd
+        horizon, motion = self._control.horizon, self._control.motion
 
         def plan(no_time_for: NoTimeFor) -> ScheduledPlan:
             state: HerdState = estimate.state
             if periods > 0:
                 commanded = u[:, list(estimate.dogs)]
-                state = rollout(crowd, state, commanded, horizon.dt, horizon.substeps).at(-1)
+                state = rollout(
+                    crowd, state, commanded, horizon.dt, horizon.substeps, motion=motion
+                ).at(-1)
             window = planner.solve(
                 state, start, lambda step: self._stopping.is_set() or no_time_for(step)
             )

@@ -203,7 +203,7 @@ class Controller(HerdingNode):
             'replan': announcement.number,
             'goal_x': plan.request.goal[0],
             'goal_y': plan.request.goal[1],
-            **messages.report_values(report),
+            **report.values(),
             'deadline_margin_s': margin,
             'deadlines_missed': self._pilot.deadlines_missed,
         }

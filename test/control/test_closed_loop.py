@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 import dataclasses
 
 import numpy as np
@@ -30,8 +31,8 @@ def spread(run: ClosedLoopRun) -> float:
 # more than 100 s, with either estimator and without mapping alike. Which ones do is chance.
 RUNS = [
     (World(), (0.5, 0.5), 60.0),
-    (World(dogs=3, seed=4), (1.0, 1.0), 120.0),
-    (World(dogs=2, seed=0), (0.5, 0.5), 120.0),
+    pytest.param(World(dogs=3, seed=4), (1.0, 1.0), 120.0, marks=pytest.mark.statistics),
+    pytest.param(World(dogs=2, seed=0), (0.5, 0.5), 120.0, marks=pytest.mark.statistics),
 ]
 
 
@@ -47,7 +48,9 @@ def test_flock_comes_home(world: World, goal: tuple[float, float], limit: float)
     assert np.linalg.norm(run.u, axis=-1).max() <= 0.05 * (1.0 + 1e-15)
 
 
-@pytest.mark.parametrize(('guides', 'limit'), [(1, 110.0), (3, 40.0)])
+@pytest.mark.parametrize(
+    ('guides', 'limit'), [pytest.param(1, 110.0, marks=pytest.mark.statistics), (3, 40.0)]
+)
 def test_guides_lead_a_crowd_home_under_the_same_controller(guides: int, limit: float) -> None:
     """Within the time that the reference takes, and a tenth."""
     run = closed_loop(CROWDS['guided'], World(dogs=guides), Control(), GOAL, limit)
@@ -57,7 +60,7 @@ def test_guides_lead_a_crowd_home_under_the_same_controller(guides: int, limit: 
 
 
 def test_a_cost_that_is_handed_in_counts() -> None:
-    """A disc around the start that is dear to leave: the flock moves less."""
+    """A disc around the start that is expensive to leave: the flock moves less."""
     world = World(sheep=9)
     start = Simulation(Crowd(), world, GOAL).state.x.mean(axis=0)
     moved = []

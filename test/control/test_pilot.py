@@ -16,8 +16,10 @@ from herding_ros.control.parameters import Control, Horizon, Sensor
 from herding_ros.control.pilot import Decision, LockstepPilot, Observed
 from herding_ros.control.plan import Plan
 from herding_ros.control.real_time_pilot import RealTimePilot, Timing
-from herding_ros.control.receding_horizon import RecedingHorizon, SolveReport, Window
+from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import never, NoTimeFor, Status
+from herding_ros.control.solve_report import SolveReport
+from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.state import Array, HerdState
 
@@ -452,6 +454,7 @@ def test_a_dog_whose_radio_comes_and_goes_does_not_stop_the_others() -> None:
     for k in range(600):
         field.dogs = (0, 1, 2) if k % 29 < 19 else (0, 1)
         assert goal_of(command(field.tick()))[:2] == [GOAL] * 2
+    assert len(field.said('no odometry from dog_3')) == 2  # in a minute, of twenty times
     assert field.pilot.plans_failed == field.pilot.deadlines_missed == 0
 
 

@@ -2,7 +2,7 @@
 """Messages <-> arrays: the only place that depends on what a message looks like. SI units."""
 
 from .checks import check_frame, check_stamp
-from .diagnostics import diagnostics, report_values
+from .diagnostics import diagnostics
 from .received import command_in, dog_in, goal_in, Sheep, sheep_in, twist_in
 from .sent import cloud, command, odometry, trajectory, twist
 from .stamps import dog_frame, nanoseconds, stamp_of
@@ -23,7 +23,6 @@ __all__ = [
     'nanoseconds',
     'odometry',
     'path',
-    'report_values',
     'sheep_in',
     'stamp_of',
     'trajectory',
