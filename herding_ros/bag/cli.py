@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The program `recover`: makes a bag readable whose recorder was killed, or that was damaged."""
 
 from __future__ import annotations
@@ -7,7 +8,7 @@ from pathlib import Path
 import sys
 
 from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import Progress
 
 from .metadata import all_topics, FILE_NAME
 from .recovery import recover, Recovery, Result
@@ -50,23 +51,8 @@ def main(args: list[str] | None = None) -> int:
 def _recover(folder: Path) -> Recovery:
     """Recover a bag; on a terminal a bar shows how far it is."""
     console = Console(stderr=True)
-    bar = Progress(
-        TextColumn('{task.description}'),
-        BarColumn(),
-        DownloadColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-    with bar:
-        task = bar.add_task('')
-        return recover(
-            folder,
-            lambda what, size, done: bar.update(
-                task, description=what, completed=done, total=size
-            ),
-        )
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        return recover(folder, lambda path: bar.open(path, 'rb', description=path.name))
 
 
 def _in_words(folder: Path, recovery: Recovery) -> str:

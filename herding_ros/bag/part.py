@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One data file of a bag, in mcap, that can be completed even when the disk is full."""
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from .metadata import FileInformation, RECORD_KEY, RECORD_NAME, to_yaml, TopicInformation
-from .scan import MOST_BYTES
+from .metadata import FileInformation, RECORD_KEY, RECORD_NAME, TopicInformation
+from .plain_yaml import to_yaml
+from .records import MOST_BYTES
 
 CHUNK_SIZE = 64 * 1024
 """Size of a chunk with its index [byte]. A kill loses the chunk being filled, so it is small."""

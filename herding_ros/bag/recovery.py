@@ -1,46 +1,37 @@
-"""Making a bag whole again that was cut off or damaged: what is whole in it is copied."""
+# SPDX-License-Identifier: Apache-2.0
+"""Making a bag whole that was cut off or damaged: what is whole in it is copied."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import fcntl
-from functools import partial
 import os
-from pathlib import Path, PurePath
+from pathlib import Path
 import re
 from typing import Any
 
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    DataEnd,
-    McapRecord,
-    Message,
-    Metadata,
-    Schema,
-)
+from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata
 from mcap.writer import CompressionType, Writer
 
-from .inspection import inspect, Inspection, topic_information
+from .inspection import inspect, Inspection, Open, open_file
 from .metadata import (
     bag_map,
     FILE_NAME,
+    file_names,
     FileInformation,
-    from_yaml,
     read_metadata,
     RECORD_KEY,
     RECORD_NAME,
     ROS_DISTRO,
-    to_yaml,
+    string_map,
+    topic_information,
+    VERSION,
     write_metadata,
 )
-from .scan import records_of, whole_records
-
-Progress = Callable[[str, int, int], None]
-"""Is told what is being done to how many bytes, and how many are done."""
+from .plain_yaml import from_yaml, to_yaml
+from .records import DamageError, records, records_in
 
 BROKEN = '.broken'
 """What the name of a file ends with that was replaced by a whole one."""
@@ -54,9 +45,9 @@ _COMPRESSIONS = {'lz4': CompressionType.LZ4, 'zstd': CompressionType.ZSTD}
 class Result:
     """What became of one data file.
 
-    faults: what was wrong with it, nothing if it was whole and left alone; lost_bytes: of the
-    broken one that were of no use; lost_messages: those whose topic is nowhere in the file; kept:
-    where the broken one is now.
+    faults: what was wrong with it, nothing if it was whole and left alone; lost_bytes: of its
+    data that were of no use; lost_messages: those whose topic is nowhere in the file; kept: where
+    the broken file is now.
     """
 
     information: FileInformation
@@ -79,35 +70,32 @@ class Recovery:
         return not self.new_metadata and not any(result.faults for result in self.results)
 
 
-def recover(folder: Path, progress: Progress = lambda what, size, done: None) -> Recovery:
+def recover(folder: Path, opening: Open = open_file) -> Recovery:
     """Make the bag in a folder whole, in bounded memory. Nothing in it is ever overwritten.
 
-    A data file that is not whole is copied as far as it is, and then keeps its content under a
-    name that ends with `.broken`. Links are not followed, and nothing outside of the folder is
-    read or written.
+    A data file that is not whole is copied up to where its records end, without the chunks that
+    are damaged, and then keeps its content under a name that ends with `.broken`. Links are not
+    followed, and nothing outside of the folder is read or written.
 
-    Raises ValueError when the folder holds no bag in mcap, or one that is being recorded, and
-    OSError when it cannot be read or written.
+    Raises ValueError when the folder does not hold a bag in mcap, or one that is being recorded,
+    and OSError when it cannot be read or written.
     """
-    inspections = [
-        inspect(path, partial(progress, f'reading {path.name}', path.stat().st_size))
-        for path in _data_files(folder)
-    ]
+    inspections = [inspect(path, opening) for path in _data_files(folder)]
     try:
         old = read_metadata(folder)
     except (FileNotFoundError, ValueError):
         old = {}
     broken = [one.path for one in inspections if one.faults]
     _check_names_are_free([*broken, folder / FILE_NAME] if broken else [])
-    keeping = _Keeping.of(inspections, old)
+    remark = _Remark.of(inspections, old)
     results: list[Result] = []
     for one in inspections:
         earlier = [result.information for result in results]
         results.append(
-            _rewrite(one, earlier, keeping, progress) if one.faults else Result(one.information())
+            _rewrite(one, earlier, remark, opening) if one.faults else Result(one.information())
         )
-    content = keeping.bag_map([result.information for result in results])
-    is_new = not _is_same(old, content)
+    content = remark.bag_map([result.information for result in results])
+    is_new = not _describes_the_same(old, content)
     if is_new:
         if (folder / FILE_NAME).exists():
             _check_names_are_free([folder / FILE_NAME])
@@ -127,22 +115,22 @@ def _data_files(folder: Path) -> list[Path]:
             broken.rename(original)
     paths = sorted(folder.glob('*.mcap'), key=_number)
     if not paths:
-        raise ValueError(f'{folder} is no bag in mcap: it has no .mcap file')
+        raise ValueError(f'{folder} is not a bag in mcap: it has no .mcap file')
     for path in paths:
         if path.is_symlink() or not path.is_file():
-            raise ValueError(f'{path} is no file but leads elsewhere; recover the bag there')
+            raise ValueError(f'{path} must be a file in the bag; recover the bag that it is in')
         with path.open('rb') as stream:
             try:
                 fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise ValueError(f'{path} is being recorded; end the recorder first') from None
-            except OSError:  # a disk that knows no locks
+            except OSError:  # a disk without locks
                 pass
     return paths
 
 
 def _number(path: Path) -> tuple[int, str]:
-    match = re.search(r'_([0-9]+)\.mcap$', path.name)
+    match = re.search(r'_([0-9]{1,9})\.mcap$', path.name)
     return (int(match[1]) if match else -1), path.name
 
 
@@ -154,47 +142,78 @@ def _check_names_are_free(paths: Sequence[Path]) -> None:
 
 
 @dataclass(frozen=True)
-class _Keeping:
-    """What of a bag's metadata its data files do not tell by themselves."""
+class _Remark:
+    """What a bag's map says that need not follow from the records of its data files."""
 
     custom_data: dict[str, str]
     ros_distro: str
     compression: tuple[str, str]
+    type_hashes: dict[str, str]  # by topic
 
     @classmethod
-    def of(cls, files: Sequence[Inspection], old: dict[str, Any]) -> _Keeping:
-        """Return what the last map says that is kept in a file, or else metadata.yaml."""
-        for text in [file.metadata for file in reversed(files) if file.metadata]:
+    def of(cls, files: Sequence[Inspection], old: dict[str, Any]) -> _Remark:
+        """Return it from the last map that is kept in a file, or else from metadata.yaml."""
+        content = old
+        for file in files:
             with suppress(TypeError, ValueError):
-                return cls._in(dict(from_yaml(text)))
-        with suppress(TypeError, ValueError):
-            return cls._in(old)
-        return cls._in({})
-
-    @classmethod
-    def _in(cls, content: dict[str, Any]) -> _Keeping:
-        custom_data = dict(content.get('custom_data') or {})
+                content = dict(from_yaml(file.metadata)) if file.metadata else content
+        hashes: dict[str, str] = {}
+        with suppress(AttributeError, KeyError, TypeError):
+            for each in content['topics_with_message_count']:
+                topic = each['topic_metadata']
+                hashes[str(topic['name'])] = str(topic.get('type_description_hash', ''))
         return cls(
-            {str(key): str(value) for key, value in custom_data.items()},
+            string_map(content.get('custom_data')),
             str(content.get('ros_distro') or ROS_DISTRO),
             (
                 str(content.get('compression_format') or ''),
                 str(content.get('compression_mode') or ''),
             ),
+            hashes,
         )
 
     def bag_map(self, files: Sequence[FileInformation]) -> dict[str, Any]:
+        """Return the map of a bag of these files."""
+        for topic in [topic for file in files for topic in file.topics.values()]:
+            topic.type_hash = topic.type_hash or self.type_hashes.get(topic.name, '')
         return bag_map(files, self.custom_data, self.ros_distro, self.compression)
 
 
-def _is_same(old: dict[str, Any], new: dict[str, Any]) -> bool:
-    """Whether two maps list the same files with as many messages."""
-    names = [PurePath(path).name for path in old.get('relative_file_paths', [])]
-    return names == new['relative_file_paths'] and old.get('message_count') == new['message_count']
+def _describes_the_same(old: dict[str, Any], new: dict[str, Any]) -> bool:
+    """Whether a map says what the new one says; older versions say it in other words."""
+    if old.get('version') == VERSION:
+        return _sorted(old) == _sorted(new)
+    try:
+        return (
+            1 <= old['version'] < VERSION
+            and all(old[key] == new[key] for key in ('storage_identifier', 'message_count'))
+            and all(old[key] == new[key] for key in ('starting_time', 'duration'))
+            and file_names(old) == file_names(new)
+            and _counts(old) == _counts(new)
+        )
+    except (KeyError, TypeError):
+        return False
+
+
+def _sorted(content: dict[str, Any]) -> dict[str, Any]:
+    """Return a map with its topics in the order of their names."""
+    topics = content.get('topics_with_message_count')
+    return {**content, 'topics_with_message_count': sorted(topics or [], key=str)}
+
+
+def _counts(content: dict[str, Any]) -> dict[tuple[str, str, str], int]:
+    """Return the number of messages by name, type and format of the topic."""
+    counts = {}
+    for each in content['topics_with_message_count']:
+        topic = each['topic_metadata']
+        if not isinstance(topic['offered_qos_profiles'], str) and content['version'] < VERSION:
+            raise TypeError('before version 9 the profiles are a string')
+        counts[topic['name'], topic['type'], topic['serialization_format']] = each['message_count']
+    return counts
 
 
 def _rewrite(
-    broken: Inspection, earlier: Sequence[FileInformation], keeping: _Keeping, progress: Progress
+    broken: Inspection, earlier: Sequence[FileInformation], remark: _Remark, opening: Open
 ) -> Result:
     """Replace a file by a copy of what is whole in it."""
     path = broken.path
@@ -207,29 +226,20 @@ def _rewrite(
         )
         mcap.start(profile=broken.profile, library='herding_ros recover')
         copy = _Copy(mcap, broken)
-        size = path.stat().st_size
-        with path.open('rb') as source:
-            for _, end, record in whole_records(source, []):
-                if isinstance(record, DataEnd):
+        with opening(path) as source, suppress(DamageError):
+            for found in records(source):
+                if isinstance(found.record, DataEnd):
                     break
-                for each in records_of(record, []) if isinstance(record, Chunk) else (record,):
-                    copy.add(each)
-                progress(f'copying {path.name}', size, end)
+                copy.add(found.record)
         copy.add_topics()
-        content = keeping.bag_map([*earlier, copy.information])
+        content = remark.bag_map([*earlier, copy.information])
         mcap.add_metadata(RECORD_NAME, {RECORD_KEY: to_yaml(content)})
         mcap.finish()
         target.flush()
         os.fsync(target.fileno())
     kept = _keep(path)
     unfinished.rename(path)
-    return Result(
-        copy.information,
-        broken.faults,
-        broken.lost_bytes,
-        copy.lost,
-        kept,
-    )
+    return Result(copy.information, broken.faults, broken.lost_bytes, copy.lost, kept)
 
 
 @contextmanager
@@ -257,16 +267,16 @@ class _Copy:
         self.information = FileInformation(source.path.name)
         self.lost = 0
         self._mcap = mcap
-        self._schemas = dict(source.schemas)
-        self._channels = dict(source.channels)
-        self._new_schemas: dict[int, int] = {}  # number there -> number here
-        self._new_channels: dict[int, tuple[int, str]] = {}  # number there -> here, topic
+        self._source = source
+        self._schemas: dict[int, int] = {}  # number there -> number here
+        self._channels: dict[int, tuple[int, str] | None] = {}  # number there -> here, topic
 
     def add(self, record: McapRecord) -> None:
-        if isinstance(record, Schema):
-            self._schemas.setdefault(record.id, record)
-        elif isinstance(record, Channel):
-            self._channels.setdefault(record.id, record)
+        """Copy a record of the data section, of a chunk what is in it, if that is whole."""
+        if isinstance(record, Chunk):
+            with suppress(DamageError):
+                for found in records_in(record):
+                    self.add(found.record)
         elif isinstance(record, Message):
             self._add_message(record)
         elif isinstance(record, Metadata) and record.name != RECORD_NAME:
@@ -278,7 +288,7 @@ class _Copy:
 
     def add_topics(self) -> None:
         """Add those without messages as well."""
-        for number in self._channels:
+        for number in self._source.channels:
             self._channel(number)
 
     def _add_message(self, message: Message) -> None:
@@ -294,23 +304,27 @@ class _Copy:
 
     def _channel(self, number: int) -> tuple[int, str] | None:
         """Return the number and the topic of a channel here; None if it is unknown."""
-        if number in self._new_channels:
-            return self._new_channels[number]
-        channel = self._channels.get(number)
-        schema = self._schemas.get(channel.schema_id) if channel else None
+        if number not in self._channels:
+            self._channels[number] = self._new_channel(self._source.channels.get(number))
+        return self._channels[number]
+
+    def _new_channel(self, channel: Channel | None) -> tuple[int, str] | None:
+        schema = self._source.schemas.get(channel.schema_id) if channel else None
         if channel is None or schema is None:
             return None
-        if schema.id not in self._new_schemas:
-            self._new_schemas[schema.id] = self._mcap.register_schema(
+        try:
+            topic = topic_information(channel, schema)
+        except ValueError:  # its QoS profiles cannot be read
+            metadata = {**channel.metadata, 'offered_qos_profiles': ''}
+            channel = replace(channel, metadata=metadata)
+            topic = topic_information(channel, schema)
+        if schema.id not in self._schemas:
+            self._schemas[schema.id] = self._mcap.register_schema(
                 schema.name, schema.encoding, schema.data
             )
-        new = self._mcap.register_channel(
-            channel.topic,
-            channel.message_encoding,
-            self._new_schemas[schema.id],
-            channel.metadata,
-        )
-        topic = topic_information(channel, schema)
         self.information.topics.setdefault(topic.name, topic)
-        self._new_channels[number] = new, topic.name
-        return self._new_channels[number]
+        number = self._mcap.register_channel(
+            *(channel.topic, channel.message_encoding),
+            *(self._schemas[schema.id], channel.metadata),
+        )
+        return number, topic.name

@@ -9,7 +9,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from herding_ros.bag.run import Array, Run
+from herding_ros.bag.recorded_run import Array, RecordedRun
 from herding_ros.model.flock import ARRIVAL_DISTANCE, centre, distance, spread, TOGETHER
 
 # Blue and red of this lightness stay apart with any kind of colour vision, and in grey.
@@ -21,7 +21,7 @@ _CELLS = 40
 """Cells of the density across the flock."""
 
 
-def save_trajectories(run: Run, path: str | os.PathLike[str]) -> None:
+def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
     """Draw the run and save it; the suffix of the path tells the format."""
     figure = Figure(figsize=(11.0, 6.4), layout='constrained')
     grid = figure.add_gridspec(3, 2, width_ratios=[1.75, 1.0])
@@ -38,7 +38,7 @@ def save_trajectories(run: Run, path: str | os.PathLike[str]) -> None:
     figure.savefig(path, dpi=160)
 
 
-def _draw_map(axes: Axes, run: Run) -> None:
+def _draw_map(axes: Axes, run: RecordedRun) -> None:
     sheep, dogs = run.x.shape[1], run.d.shape[1]
     for m in range(dogs):
         axes.plot(*run.d[:, m].T, color=RED, linewidth=1.0, alpha=0.6)
@@ -80,18 +80,18 @@ def _draw_density(axes: Axes, x: Array, alpha: float, label: str) -> None:
     axes.plot([], [], 'h', color=BLUE, markersize=9, markeredgewidth=0, alpha=alpha, label=label)
 
 
-def _draw_distance(axes: Axes, run: Run) -> None:
+def _draw_distance(axes: Axes, run: RecordedRun) -> None:
     axes.set_ylabel('distance to\ndestination [m]', fontsize=9)
     _draw_with_limit(axes, run, distance(run.x, run.goal), ARRIVAL_DISTANCE)
 
 
-def _draw_spread(axes: Axes, run: Run) -> None:
+def _draw_spread(axes: Axes, run: RecordedRun) -> None:
     spreads = spread(run.x)
     axes.set_ylabel('spread of\nthe flock [m]', fontsize=9)
     _draw_with_limit(axes, run, spreads, TOGETHER * float(spreads[0]))
 
 
-def _draw_with_limit(axes: Axes, run: Run, values: Array, limit: float) -> None:
+def _draw_with_limit(axes: Axes, run: RecordedRun, values: Array, limit: float) -> None:
     axes.plot(run.times, values, color=BLUE)
     axes.axhline(limit, color=GREY, linestyle='--', linewidth=1.0)
     axes.annotate(
@@ -102,7 +102,7 @@ def _draw_with_limit(axes: Axes, run: Run, values: Array, limit: float) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def _draw_solves(axes: Axes, run: Run) -> None:
+def _draw_solves(axes: Axes, run: RecordedRun) -> None:
     times = [replan.time for replan in run.replans]
     solve_ms = [replan.solve_ms for replan in run.replans]
     axes.vlines(times, 0.0, solve_ms, color='0.75')

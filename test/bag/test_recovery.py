@@ -31,7 +31,7 @@ from herding_ros.bag.cli import main
 from herding_ros.bag.inspection import inspect
 from herding_ros.bag.reader import read_run
 from herding_ros.bag.recovery import recover
-from herding_ros.bag.scan import MOST_BYTES
+from herding_ros.bag.records import MOST_BYTES
 from herding_ros.bag.writer import BagWriter
 
 HASH = 'RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18'
@@ -43,10 +43,10 @@ PROFILE: dict[str, Any] = {
     'depth': 7,
     'reliability': 'best_effort',
     'durability': 'transient_local',
-    'deadline': FOREVER,
-    'lifespan': FOREVER,
+    'deadline': {**FOREVER},
+    'lifespan': {**FOREVER},
     'liveliness': 'automatic',
-    'liveliness_lease_duration': FOREVER,
+    'liveliness_lease_duration': {**FOREVER},
     'avoid_ros_namespace_conventions': False,
 }
 

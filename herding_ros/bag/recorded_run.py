@@ -45,7 +45,7 @@ class Replan:
 
 
 @dataclass(frozen=True)
-class Run:
+class RecordedRun:
     """A recorded run: T states of N sheep and M dogs, K commands.
 
     times: (T,) [s] from the first state; x: (T, N, 2) positions of the sheep [m];
