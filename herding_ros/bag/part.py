@@ -111,14 +111,15 @@ class PartWriter:
         """Append one message, see `BagWriter.write`."""
         size = len(data) + _MESSAGE
         if size > LARGEST_MESSAGE:
-            raise ValueError(f'it has {len(data)} bytes, allowed are {LARGEST_MESSAGE - _MESSAGE}')
+            most = LARGEST_MESSAGE - _MESSAGE
+            raise ValueError(f'a message must have at most {most} bytes, got {len(data)}')
         if (
             min(log_time_ns, publish_time_ns) < 0
             or max(log_time_ns, publish_time_ns) > LAST_TIME_NS
         ):
             raise ValueError(
-                f'its times are {log_time_ns} and {publish_time_ns} ns, '
-                f'allowed are 0 to {LAST_TIME_NS}'
+                f'the times of a message must be 0 to {LAST_TIME_NS} ns, '
+                f'got {log_time_ns} and {publish_time_ns}'
             )
         if self._written + self._chunk + self._index + size > self._reserved:
             self._reserve(size)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 import fcntl
+import json
 import os
 from pathlib import Path
 import re
@@ -181,9 +182,9 @@ class _Remark:
 
 def _describes_the_same(old: dict[str, Any], new: dict[str, Any]) -> bool:
     """Whether a map says what the new one says; older versions say it in other words."""
-    if old.get('version') == VERSION:
-        return _sorted(old) == _sorted(new)
     try:
+        if old['version'] == VERSION:
+            return _sorted(old) == _sorted(new)
         return (
             1 <= old['version'] < VERSION
             and all(old[key] == new[key] for key in ('storage_identifier', 'message_count'))
@@ -198,7 +199,8 @@ def _describes_the_same(old: dict[str, Any], new: dict[str, Any]) -> bool:
 def _sorted(content: dict[str, Any]) -> dict[str, Any]:
     """Return a map with its topics in the order of their names."""
     topics = content.get('topics_with_message_count')
-    return {**content, 'topics_with_message_count': sorted(topics or [], key=str)}
+    in_order = sorted(json.dumps(topic, sort_keys=True) for topic in topics or [])
+    return {**content, 'topics_with_message_count': in_order}
 
 
 def _counts(content: dict[str, Any]) -> dict[tuple[str, str, str], int]:

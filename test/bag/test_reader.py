@@ -245,7 +245,7 @@ def convert_to_sqlite3(source: Path, target: Path) -> None:
 
 
 def test_no_bag_is_told(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match='nothing is no bag'):
+    with pytest.raises(FileNotFoundError, match='nothing is not a bag'):
         read_run(tmp_path / 'nothing')
 
 
@@ -311,23 +311,24 @@ def test_changing_flock_is_told(tmp_path: Path, run_recorder: Any) -> None:
         read_run(tmp_path / 'bag')
 
 
-@pytest.mark.parametrize('seed', range(20))
-def test_damaged_bag_is_told(
-    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any], seed: int
+def test_damaged_bag_is_refused(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
 ) -> None:
     with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
         write(recorder, arrays)
-    generator = random.Random(seed)
     file = tmp_path / 'bag' / 'bag_0.mcap'
-    data = bytearray(file.read_bytes())
-    if seed % 2:
-        data = data[: generator.randrange(len(data))]
-    else:
-        place = generator.randrange(len(data) // 2)  # where the messages are
-        data[place : place + 8] = generator.randbytes(8)
-    file.write_bytes(data)
-    with pytest.raises(ValueError, match='bag'):
-        read_run(tmp_path / 'bag')
+    whole = file.read_bytes()
+    for seed in range(8):
+        generator = random.Random(seed)
+        data = bytearray(whole)
+        if seed % 2:
+            data = data[: generator.randrange(len(data))]
+        else:
+            place = generator.randrange(len(data) // 2)  # where the messages are
+            data[place : place + 8] = generator.randbytes(8)
+        file.write_bytes(data)
+        with pytest.raises(ValueError, match='bag'):
+            read_run(tmp_path / 'bag')
 
 
 @pytest.mark.parametrize(
