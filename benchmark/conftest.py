@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What all benchmarks share: sizes, and timing two things in turns."""
 
 from __future__ import annotations

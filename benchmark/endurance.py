@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Long recorded runs: memory, pace, losses, deadlines and the jitter of the commands.
 
     python -m benchmark.endurance --out build/endurance                      an hour in lockstep
@@ -17,7 +18,6 @@ import sys
 import time
 from typing import Any
 
-from matplotlib.figure import Figure
 from mcap.reader import make_reader
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from herding_ros.bag.metadata import read_metadata
 from herding_ros.control.parameters import Horizon
 from herding_ros.nodes.herd import Child, lead_at, Watcher
 from herding_ros.nodes.running import start_ros
+from herding_ros.report.style import legend, new, save
 
 WARM_UP = 0.1
 """Part of a run that is not judged: caches fill, the recorder learns the topics."""
@@ -183,20 +184,19 @@ def _jitter(bag: Path, period: float) -> dict[str, float]:
 
 def draw(endured: Endured, path: Path) -> None:
     """Memory of each node and simulated seconds a second over wall time, as PNG."""
-    figure = Figure(figsize=(9.0, 3.2), layout='constrained')
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = new(2, 1, width=4.5, height=3.2)
     for name, memory in endured.memory.items():
         left.plot(endured.wall, memory, label=name)
     left.set(xlabel='wall time [s]', ylabel='resident memory [MB]')
     left.set_ylim(bottom=0)
-    left.legend()
+    legend(left)
     pace = np.diff(endured.simulated) / np.diff(endured.wall)
     width = max(len(pace) // 60, 1)
     smooth = np.convolve(pace, np.ones(width) / width, 'valid')
     right.plot(endured.wall[width:][: len(smooth)], smooth)
     right.set(xlabel='wall time [s]', ylabel='simulated seconds a second')
     right.set_ylim(bottom=0)
-    figure.savefig(path, dpi=120, metadata={'Software': None})
+    save(figure, path)
 
 
 def summary(endured: Endured) -> dict[str, Any]:

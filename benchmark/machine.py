@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Describes the machine that the figures were taken on, without saying whose it is."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The problems that are measured, and what stands for ours in every comparison."""
 
 from __future__ import annotations
@@ -7,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.coarse_model import CoarseModel
+from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
 from herding_ros.control.reference import reference
-from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.ensemble import expected_positions
 from herding_ros.model.noise import noise_paths, NoisePaths
@@ -53,7 +54,8 @@ class Problem:
         """Control (intervals, M, 2) [m/s]."""
         speed = Control().max_speed
         shape = (self.steps // self.coarse.substeps, self.dogs, 2)
-        return project(np.random.default_rng(1).uniform(-speed, speed, shape), speed)
+        u = np.random.default_rng(1).uniform(-speed, speed, shape)
+        return Control().motion.project(u, speed)
 
     @cached_property
     def tracking(self) -> Tracking:
@@ -66,7 +68,7 @@ class Problem:
     @cached_property
     def objective(self) -> Objective:
         """The cost of a window."""
-        return Objective([self.tracking], Control().weights.control, np.zeros_like(self.u))
+        return Objective([self.tracking, ControlEffort(Control().weights.control)])
 
     def value_and_gradient(self) -> tuple[float, Array]:
         """Return our value, and our gradient in L2(0, T), (intervals, M, 2)."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The roof over the kernels: nothing but the exponentials and the square root of each pair.
 
 A pair force needs two exponentials and one square root. The bare loop does just these, with

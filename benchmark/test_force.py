@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Big flocks: the particle mesh against the direct sum, and how a step grows."""
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import pytest
 from herding_ros.model import fast_forces
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout, to_lanes
-from herding_ros.model.fast_forces import DirectSum, plan, Sums
+from herding_ros.model.fast_forces import DirectSum, prepare, Sums
 from herding_ros.model.particle_mesh import Run
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array, HerdState
@@ -35,7 +36,7 @@ def flock(sheep: int) -> HerdState:
 def planned(sheep: int, accuracy: float, run: Run) -> tuple[Sums, Array, float]:
     """Return what sums the forces, where the sheep are, and the error of all or some forces."""
     x = to_lanes(flock(sheep).x)
-    sums = plan(Crowd().sheep, x, sheep, accuracy, run)
+    sums = prepare(Crowd().sheep, x, sheep, accuracy, run)
     exact = DirectSum(Crowd().sheep, sheep).gradients(x)
     apart = np.linalg.norm(sums.gradients(x) - exact) / np.linalg.norm(exact)
     return sums, x, float(apart)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How regularly commands come while the controller keeps its own time and plans beside."""
 
 from __future__ import annotations

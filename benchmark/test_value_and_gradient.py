@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Value and gradient of the reduced cost: ours, JAX and CasADi."""
 
 from __future__ import annotations

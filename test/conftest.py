@@ -1,3 +1,6 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all tests share: which of them run, in which order, and herds and bags to test with."""
+
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
@@ -30,13 +33,27 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 CLOUD = np.dtype([('id', '<u4'), *((name, '<f4') for name in ('x', 'y', 'z', 'vx', 'vy', 'vz'))])
 
 
+LEFT_OUT = ('statistics', 'slow')
+"""Marks of tests that run only with --all, or if -m names them."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        '--all', action='store_true', help=f'run the tests marked {" or ".join(LEFT_OUT)} as well'
+    )
+
+
 @pytest.hookimpl(tryfirst=True)  # pytest-xdist looks for groups in the same hook
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Say what stays together where two processes share the tests, as in scripts/test.
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what only --all runs, and say what two processes must not share.
 
     Tests that look at the clock take longest, go first and stay in one process: two at a time
     would be in each other's way.
     """
+    if not config.getoption('all') and not config.getoption('markexpr'):
+        left_out = {item for item in items if any(map(item.get_closest_marker, LEFT_OUT))}
+        config.hook.pytest_deselected(items=list(left_out))
+        items[:] = [item for item in items if item not in left_out]
     for item in items:
         name = item.path.stem
         item.add_marker(pytest.mark.xdist_group('timed' if name in TIMED else name))

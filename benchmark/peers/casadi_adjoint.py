@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Value and gradient with CasADi: a step function, mapaccum over the steps, reverse mode.
 
 Of the formulations that were tried this was the fastest: MX, whose operations run over whole

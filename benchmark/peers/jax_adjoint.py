@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Value and gradient with JAX: jit, float64, lax.scan, value_and_grad.
 
 Of the formulations that were tried this was the fastest on CPU: coordinates apart, the sum of

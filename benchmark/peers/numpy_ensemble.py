@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The mean of an ensemble with plain NumPy, vectorised over paths and pairs.
 
 Buffers are made once, coordinates are apart, and as many paths are taken at a time as were

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sim and controller in one loop: the node graph without ROS."""
 
 from __future__ import annotations
@@ -12,17 +13,18 @@ from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, finite, HerdState
 
 from .costs.cost import Cost
-from .estimator import Estimator
-from .parameters import Control
-from .receding_horizon import RecedingHorizon, SolveReport
+from .parameters import check_lockstep, Control
+from .pilot import LockstepPilot, Observed
+from .receding_horizon import RecedingHorizon
+from .solve_report import SolveReport
 
 Policy = Callable[[HerdState, float], Array]
-"""What decides: from the observed state and the time [s] to the dogs' velocities (M, 2) [m/s]."""
+"""From the observed state and the time [s] to the dogs' velocities (M, 2) [m/s]."""
 
 
 @dataclass(frozen=True)
-class Run:
-    """A run of T control periods, as it truly was.
+class ClosedLoopRun:
+    """The true course of a run of T control periods.
 
     t: (T+1,) [s]; x: (T+1, N, 2) [m]; d: (T+1, M, 2) [m]; u: (T, M, 2) [m/s]; home: index of
     the first instant at which the flock had arrived, or None; reports: of the planner's solves.
@@ -41,35 +43,28 @@ class Run:
         return self.home is not None
 
 
-class Planner:
-    """Receding-horizon control as a policy; keeps its reports and what it believes."""
+def as_policy(pilot: LockstepPilot, reports: list[SolveReport]) -> Policy:
+    """Return a pilot as a policy that appends the report of each plan to `reports`.
 
-    def __init__(
-        self, crowd: Crowd, control: Control, goal: Array, seed: int, costs: Sequence[Cost] = ()
-    ) -> None:
-        """Plan for this crowd and goal (2,) [m], with costs besides those of control.weights."""
-        horizon = control.horizon
-        self._planner = RecedingHorizon(crowd, control, goal, seed, costs)
-        self._estimator = Estimator(
-            crowd, control.sensor, horizon.control_period, horizon.substeps
-        )
-        self._told: Array | None = None  # the velocities that were returned last
-        self.reports: list[SolveReport] = []
-        self.believed: HerdState | None = None
-        """Where everyone is, by all observations so far."""
+    Where the pilot of a node counts a plan that could not be made and goes on, this raises the
+    error.
+    """
 
-    def __call__(self, observed: HerdState, t: float) -> Array:
-        """Return the velocities at t, after a new plan if one is due."""
-        told = np.zeros_like(observed.d) if self._told is None else self._told
-        self.believed = self._estimator.update(t, np.arange(len(observed.x)), observed, told)
-        if self._planner.due(t):
-            self.reports.append(self._planner.solve(self.believed, t).report)
-        assert self._planner.plan is not None
-        self._told = self._planner.plan.at(t)
-        return self._told
+    def policy(observed: HerdState, t: float) -> Array:
+        decision = pilot.decide(Observed.complete(t, observed))
+        if decision.error is not None:
+            raise decision.error
+        if decision.announcement is not None:
+            reports.append(decision.announcement.plan.window.report)
+        assert decision.command is not None  # in lockstep there always is one
+        return decision.command
+
+    return policy
 
 
-def play(simulation: Simulation, policy: Policy, time_limit: float, stop: bool = True) -> Run:
+def play(
+    simulation: Simulation, policy: Policy, time_limit: float, stop: bool = True
+) -> ClosedLoopRun:
     """Herd by a policy for time_limit [s], with stop only until the flock arrives.
 
     All policies see the same observations of the same flock under the same noise.
@@ -86,7 +81,7 @@ def play(simulation: Simulation, policy: Policy, time_limit: float, stop: bool =
         if home is None and simulation.arrived:
             home = len(u)
     velocities = np.array(u).reshape(-1, world.dogs, 2)
-    return Run(np.array(t), np.array(x), np.array(d), velocities, home)
+    return ClosedLoopRun(np.array(t), np.array(x), np.array(d), velocities, home)
 
 
 def closed_loop(
@@ -96,14 +91,18 @@ def closed_loop(
     goal: Array,
     time_limit: float,
     costs: Sequence[Cost] = (),
-) -> Run:
+) -> ClosedLoopRun:
     """Herd by receding-horizon control until the flock arrives, or for time_limit [s].
 
     Observation noise, control period and all random numbers are those of the ROS graph in
     lockstep, and so is the result, bit for bit. The controller minimises `costs` as well as
-    those that control.weights ask for.
+    those that control.weights ask for. Raises ValueError if it counts on commands of another
+    length than those of the world.
     """
+    check_lockstep(control.horizon, world)
     simulation = Simulation(crowd, world, finite('goal', goal, (2,)))
-    planner = Planner(crowd, control, goal, world.seed, costs)
-    run = play(simulation, planner, time_limit)
-    return replace(run, reports=tuple(planner.reports))
+    planner = RecedingHorizon(crowd, control, simulation.goal, world.seed, costs)
+    reports: list[SolveReport] = []
+    policy = as_policy(LockstepPilot(planner, world.dogs), reports)
+    run = play(simulation, policy, time_limit)
+    return replace(run, reports=tuple(reports))

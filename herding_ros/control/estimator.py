@@ -1,10 +1,11 @@
-"""What the controller believes of the herd: a Kalman filter on noisy observations.
+# SPDX-License-Identifier: Apache-2.0
+"""A Kalman filter on noisy observations of the herd.
 
-Between two observations everybody is carried forward by the coarse model, with the velocities
-that the dogs were told; then each is corrected by what was seen. For the uncertainty, each sheep
-and each coordinate is a linear system of its own, of position and velocity, with the model's
-friction and random force, as strong as it is where the sheep is. How sheep push each other changes
-the prediction alone, and so does what their random forces have in common.
+Between two observations the herd is predicted by the coarse model under the commanded velocities;
+then each sheep and dog is corrected by its observation. For the covariance, each coordinate of
+each sheep is a linear system of its own, of position and velocity, with the model's friction and
+the random force at the sheep's place. The forces between sheep, and the part of the random force
+that they have in common, change the prediction but not the covariance.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
+from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.noise import strength
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, finite, HerdState
@@ -23,30 +25,30 @@ from herding_ros.model.state import Array, finite, HerdState
 from .parameters import Sensor
 
 _LEAST_NOISE = 0.005
-"""Random force that is expected on sheep at least [m/s^1.5], for all that the model leaves out.
+"""Least random force on sheep that the filter expects [m/s^1.5], for errors of the model.
 
-A filter that expects none stops looking.
+Without any it would soon ignore observations.
 """
 
 _SLIP = 0.01
-"""After t seconds a dog is this times sqrt(t) from where its commands lead [m/s^0.5]."""
+"""Standard deviation of a dog from where its commands lead, after a second [m/s^0.5]."""
 
 _FAR = 6.0
-"""Standard deviations between what is seen and what is expected that noise does not explain."""
+"""An observation this many standard deviations from its prediction is an outlier."""
 
 _LONGEST_GAP = 20
-"""Control periods between two observations after which the past is forgotten."""
+"""After so many control periods without an observation the filter starts afresh."""
 
 _Names = NDArray[np.integer]
 
 
 @dataclass(frozen=True)
 class _Tracks:
-    """What is believed of n sheep, with k = 2 quantities, or of n dogs, with k = 1.
+    """Estimates of n sheep, with k = 2 quantities, or of n dogs, with k = 1.
 
     names (n,); mean (n, k, 2): position [m] and, of sheep, velocity [m/s]; covariance (n, k, k):
-    of their errors, the same in both coordinates; doubted (n,): whether the last observation
-    stands alone, so that another one far from it is believed.
+    of their errors, the same in both coordinates; doubted (n,): whether the last observation was
+    the first or an outlier, so that another outlier replaces the estimate.
     """
 
     names: _Names
@@ -56,14 +58,14 @@ class _Tracks:
 
     @classmethod
     def new(cls, names: _Names, mean: Array, variances: list[Array | float]) -> _Tracks:
-        """Begin with one observation, whose k quantities have these variances, (n,) or one."""
+        """Start from one observation, whose k quantities have these variances, (n,) or one."""
         covariance = np.zeros((len(names), len(variances), len(variances)))
         for q, variance in enumerate(variances):
             covariance[:, q, q] = variance
         return cls(names, mean, covariance, np.full(len(names), True))
 
     def corrected(self, new: _Tracks, observed: Array, variances: list[float]) -> _Tracks:
-        """Return the new tracks, those that continue one of these corrected by what is observed.
+        """Return `new`, except that tracks of the same names continue, corrected by `observed`.
 
         observed: (n, k, 2), in the order of the new tracks.
         """
@@ -71,7 +73,7 @@ class _Tracks:
         error = observed[here] - self.mean[there]
         uncertainty = self.covariance[there] + np.diag(variances)
         near = np.square(error[:, 0]).sum(axis=1) <= _FAR**2 * uncertainty[:, 0, 0]
-        # Far off for once, an observation is taken for a mistake. The second time it is believed.
+        # A single outlier is ignored; a second one in a row replaces the estimate.
         known = near | ~self.doubted[there]
         here, there, near = here[known], there[known], near[known]
         before = self.covariance[there]
@@ -84,35 +86,41 @@ class _Tracks:
 
 
 @dataclass(frozen=True)
-class _Belief:
-    """The herd at t [s]."""
+class _Estimate:
+    """Of the herd at t [s]; rest (M, S - 2): what the dogs' states hold besides positions.
+
+    Positions of dogs are filtered, the rest is taken as it was observed last.
+    """
 
     t: float
     sheep: _Tracks
     dogs: _Tracks
+    rest: Array
 
     @property
     def state(self) -> HerdState:
-        return HerdState(self.sheep.mean[:, 0], self.sheep.mean[:, 1], self.dogs.mean[:, 0])
+        dogs = np.hstack([self.dogs.mean[:, 0], self.rest])
+        return HerdState(self.sheep.mean[:, 0], self.sheep.mean[:, 1], dogs)
 
 
 @dataclass
-class Estimator:
-    """Filters the noise out of observations, one after the other.
+class StateEstimator:
+    """Filters the noise out of successive observations.
 
-    control_period: usual time between two of them [s], predicted in `substeps` steps. Crowd and
-    sensor may be replaced between two observations.
+    control_period: usual time between two observations [s], predicted in `substeps` steps. Crowd
+    and sensor may be replaced between two observations.
     """
 
     crowd: Crowd
     sensor: Sensor
     control_period: float
     substeps: int
-    _belief: _Belief | None = field(default=None, init=False)
+    motion: MotionModel = Holonomic()
+    _estimate: _Estimate | None = field(default=None, init=False)
 
     def reset(self) -> None:
-        """Forget everything: the next observation is the first."""
-        self._belief = None
+        """Start afresh with the next observation."""
+        self._estimate = None
 
     def update(
         self,
@@ -124,98 +132,102 @@ class Estimator:
     ) -> HerdState:
         """Return the most likely state at t [s], with the rows of the observation.
 
-        ids: (N,) names of the observed sheep; u: (all dogs, 2) velocities that dogs were told
-        since the last update [m/s]; dogs: indices in u of those that are observed, by default
-        all. Sheep and dogs come and go: who is new is believed to be where it is seen. When t is
-        before the last update, or much later, everybody is new. Where a sheep or dog suddenly is
-        far from expected, the first such observation counts as none. A sensor without noise is
-        believed to the bit.
+        ids: (N,) names of the observed sheep; u: (all dogs, 2) velocities commanded since the
+        last update [m/s]; dogs: indices in u of the observed dogs, by default all. Sheep and dogs
+        may come and go: a new one's estimate is its observation. When t is before the last
+        update, or much later, all are new. A single outlier is ignored. Without sensor noise the
+        observation itself is returned.
 
-        Raises ValueError when names, rows and velocities do not fit.
+        Raises ValueError if names, rows and velocities do not match.
         """
         u = finite('dog velocities u', u, (None, 2))
         names = np.arange(len(u)) if dogs is None else np.asarray(dogs)
         _check_names(np.asarray(ids), observed.x, 'sheep')
         _check_names(names, observed.d, 'dogs')
         if names.min() < 0 or names.max() >= len(u):
-            raise ValueError(f'dogs are {names.tolist()}, allowed is 0 to {len(u) - 1}, rows of u')
+            raise ValueError(f'dogs must be rows of u, 0 to {len(u) - 1}, got {names.tolist()}')
         if self.sensor == Sensor():
             return observed
         new = self._first(t, np.asarray(ids), names, observed)
-        if self._belief is not None:
-            elapsed = t - self._belief.t
+        if self._estimate is not None:
+            elapsed = t - self._estimate.t
             if 0.0 <= elapsed <= _LONGEST_GAP * self.control_period:
-                expected = self._predicted(self._belief, elapsed, u) if elapsed else self._belief
+                expected = self._estimate
+                if elapsed:
+                    expected = self._predicted(expected, elapsed, u)
                 new = self._corrected(expected, new, observed)
-        self._belief = new
+        self._estimate = new
         return new.state
 
     def _force(self, t: float, x: Array) -> Array:
-        """Strength of the random force that is expected on sheep at x [m/s^1.5], (n,) or ()."""
+        """Return the strength of the random force on sheep at x [m/s^1.5], (n,) or ()."""
         return np.maximum(strength(self.crowd, t, x), _LEAST_NOISE)
 
     @property
     def _variances(self) -> tuple[float, float]:
         """Of observed positions [m^2] and velocities [m^2/s^2]."""
-        # Never zero: no two of them would fit together.
+        # Never zero: exact observations would contradict each other.
         return (
             max(self.sensor.position_noise, TINY) ** 2,
             max(self.sensor.velocity_noise, TINY) ** 2,
         )
 
-    def _first(self, t: float, ids: _Names, dogs: _Names, observed: HerdState) -> _Belief:
-        """Return what is known from one observation: sheep seldom run faster than at random."""
+    def _first(self, t: float, ids: _Names, dogs: _Names, observed: HerdState) -> _Estimate:
+        """Return the estimate from one observation, with the stationary velocities as prior."""
         position, velocity = self._variances
         # Friction and random force alone give velocities the variance sigma^2 / (2 alpha).
         force = self._force(t, observed.x)
         share = force**2 / (force**2 + 2.0 * self.crowd.friction * velocity)
         sheep = np.stack([observed.x, share[..., None] * observed.v], axis=1)
-        return _Belief(
+        return _Estimate(
             t,
             _Tracks.new(ids, sheep, [position, share * velocity]),
-            _Tracks.new(dogs, observed.d[:, None], [position]),
+            _Tracks.new(dogs, observed.dogs[:, None], [position]),
+            observed.d[:, 2:],
         )
 
-    def _predicted(self, belief: _Belief, elapsed: float, u: Array) -> _Belief:
-        """Carry everybody forward by the coarse model."""
+    def _predicted(self, before: _Estimate, elapsed: float, u: Array) -> _Estimate:
+        """Predict by the coarse model."""
         steps = max(round(elapsed * self.substeps / self.control_period), 1)
         dt = elapsed / steps
-        # A force of shorter range than the noise would be wrong, taken from such positions, and
-        # throw sheep apart that only seem to be close.
+        # At noisy positions, a force of shorter range than the noise would be wrong and throw
+        # sheep apart that only seem to be close.
         noise, crowd = self.sensor.position_noise, self.crowd
         crowd = replace(
             crowd,
             sheep=crowd.sheep.without_ranges_below(noise),
             dog=crowd.dog.without_ranges_below(noise),
         )
-        end = rollout(crowd, belief.state, u[None, belief.dogs.names], dt, steps).at(-1)
+        commands = u[None, before.dogs.names]
+        end = rollout(crowd, before.state, commands, dt, steps, motion=self.motion).at(-1)
         step = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
-        force = self._force(belief.t, belief.state.x)[..., None, None] ** 2 * np.diag([0.0, dt])
-        covariance = belief.sheep.covariance
+        force = self._force(before.t, before.state.x)[..., None, None] ** 2 * np.diag([0.0, dt])
+        covariance = before.sheep.covariance
         for _ in range(steps):
             covariance = step @ covariance @ step.T + force
-        slipped = belief.dogs.covariance + _SLIP**2 * elapsed
+        slipped = before.dogs.covariance + _SLIP**2 * elapsed
         return replace(
-            belief,
+            before,
             sheep=replace(
-                belief.sheep, mean=np.stack([end.x, end.v], axis=1), covariance=covariance
+                before.sheep, mean=np.stack([end.x, end.v], axis=1), covariance=covariance
             ),
-            dogs=replace(belief.dogs, mean=end.d[:, None], covariance=slipped),
+            dogs=replace(before.dogs, mean=end.dogs[:, None], covariance=slipped),
         )
 
-    def _corrected(self, expected: _Belief, new: _Belief, observed: HerdState) -> _Belief:
+    def _corrected(self, expected: _Estimate, new: _Estimate, observed: HerdState) -> _Estimate:
         position, velocity = self._variances
         sheep = np.stack([observed.x, observed.v], axis=1)
-        return _Belief(
+        return _Estimate(
             new.t,
             expected.sheep.corrected(new.sheep, sheep, [position, velocity]),
-            expected.dogs.corrected(new.dogs, observed.d[:, None], [position]),
+            expected.dogs.corrected(new.dogs, observed.dogs[:, None], [position]),
+            new.rest,
         )
 
 
 def _check_names(names: _Names, points: Array, what: str) -> None:
     if names.shape != (len(points),):
         raise ValueError(
-            f'names of {what} have shape {names.shape}, allowed is ({len(points)},), '
-            'one for each that was observed'
+            f'names of {what}: expected shape ({len(points)},), one for each observed, '
+            f'got {names.shape}'
         )

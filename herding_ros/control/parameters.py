@@ -1,10 +1,16 @@
-"""What one can turn in the controller."""
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the controller."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
+
+if TYPE_CHECKING:
+    from herding_ros.model.simulation import World
 
 
 @dataclass(frozen=True)
@@ -97,6 +103,15 @@ class Horizon(Parameters):
         return self.control_period / self.substeps
 
 
+def check_lockstep(horizon: Horizon, world: World) -> None:
+    """Raise ValueError unless a command is as long to the controller as to the world."""
+    if abs(horizon.control_period / world.control_period - 1.0) > 1e-6:
+        raise ValueError(
+            'Horizon.control_period must be World.dt * World.substeps, '
+            f'got {horizon.control_period:g} s and {world.control_period:g} s'
+        )
+
+
 @dataclass(frozen=True)
 class Coarse(Parameters):
     """The deterministic model that a plan is made with: all sheep, or their mean-field limit."""
@@ -154,25 +169,11 @@ class Mapping(Parameters):
         high=10_000,
     )
     max_iterations: int = quantity(3, 'most corrections of a plan; 0 plans without noise', low=0)
-    accuracy: float = quantity(
-        1e-3,
-        "output: root mean square of the expected centre's error that is small enough",
-        'm',
-        low=TINY,
-    )
     tolerance: float = quantity(
-        0.3,
-        'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is small enough',
+        1e-3,
+        "output: root mean square of the expected centre's error that is small enough [m]; "
+        'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is; 0 takes all iterations',
         low=0.0,
-    )
-    min_decrease: float = quantity(
-        5e-3, 'aggressive: stop when the residual decreases by less in an iteration'
-    )
-    observable: str = quantity(
-        'centre',
-        'aggressive: what parameter extraction matches to the expected centre, the centre or '
-        '(the paper to the letter) every individual',
-        choices=('centre', 'individuals'),
     )
 
 
@@ -196,9 +197,10 @@ class Sensor(Parameters):
 
 @dataclass(frozen=True)
 class Control(Parameters):
-    """Everything the controller is told besides the crowd."""
+    """All parameters of the controller besides the crowd."""
 
     max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY)
+    motion: MotionModel = Holonomic()
     weights: Weights = Weights()
     reference: Reference = Reference()
     horizon: Horizon = Horizon()
@@ -212,6 +214,9 @@ PAPER = Control(
     weights=Weights(centre=1.0, spread=1.0, dogs=0.0),
     reference=Reference(kind='interpolated'),
     optimiser=Optimiser(tolerance=5e-3),
-    mapping=Mapping(method='aggressive', estimator='plain', standard_error=0.0),
+    mapping=Mapping('aggressive', 'plain', standard_error=0.0, tolerance=0.3),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""
+
+CONTROLS = {'default': Control(), 'paper': PAPER}
+"""Settings by the name that the controller's parameter `preset` takes."""

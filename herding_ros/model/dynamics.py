@@ -1,34 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
 """The crowd's equations of motion in discrete time: Euler-Maruyama.
 
-With x, v, d the sheep's positions and velocities and the dogs' positions, u the dogs'
-velocities (the control), P_1 and P_2 the potentials of sheep and dogs (paper, state system):
+With x, v the sheep's positions and velocities, d the dogs' positions, and P_1 and P_2 the
+potentials of sheep and dogs (paper, state system):
 
     x_i' = x_i + dt v_i
     v_i' = v_i + dt (-1/N sum_j grad P_1(x_i - x_j) - sum_m grad P_2(x_i - d_m) - alpha v_i)
                + sigma f(t, x_i) dB_i
-    d_m' = d_m + dt u_m
 
-The noise sigma dB is an argument, see `noise`. Without it this is the paper's coarse model, with
-it the fine one; there is no other difference.
+The dogs' path follows from their commands u alone, see `motion`. The noise sigma dB is an
+argument, see `noise`. Without it this is the paper's coarse model, with it the fine one; there
+is no other difference.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 import os
 
 import numpy as np
 
 from . import fast_forces, kernels
 from .crowd import Crowd
-from .noise import factor, is_uniform
+from .motion import Holonomic, MotionModel
+from .noise import is_uniform, random_force
 from .state import Array, finite, HerdState, Trajectory
 
 
 def physics(crowd: Crowd, n: int, dt: float) -> kernels.Physics:
-    """Return what the kernels need to know about n sheep and steps of dt [s]."""
+    """Return the constants that the kernels need for n sheep and steps of dt [s]."""
     if not (np.isfinite(dt) and dt > 0.0):
-        raise ValueError(f'the time step dt is {dt!r}, allowed is a number above 0')
+        raise ValueError(f'time step dt must be a number above 0, got {dt!r}')
     sheep = kernels.divided(crowd.sheep.kernel_form(), n)
     return kernels.Physics(n, float(dt), sheep, crowd.dog.kernel_form(), crowd.friction)
 
@@ -45,20 +49,23 @@ def forces(crowd: Crowd, x: Array, d: Array, accuracy: float = fast_forces.ACCUR
 
     With many sheep the error is up to `accuracy`, relative in the Euclidean norm over all.
     """
-    n, lanes = len(x), to_lanes(x)
-    dogs, constants = np.ascontiguousarray(d.T), physics(crowd, n, 1.0)
-    if n < fast_forces.CROSSOVER:
-        out = np.empty_like(lanes)
-        kernels.acceleration(lanes, dogs, constants, np.zeros((2, 2, 2 * lanes.shape[1])), out)
-    else:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            sums = fast_forces.plan(crowd.sheep, lanes, n, accuracy, pool.map)
-            out = _acceleration(sums, lanes, dogs, constants)
-    return out[:, :n].T
+    lanes, dogs = to_lanes(x), np.ascontiguousarray(d.T)
+    with _summation(crowd, len(x), accuracy) as sums:
+        out = _acceleration(sums(0, lanes), lanes, dogs, physics(crowd, len(x), 1.0))
+    return out[:, : len(x)].T
+
+
+@contextmanager
+def _summation(
+    crowd: Crowd, n: int, accuracy: float = fast_forces.ACCURACY
+) -> Iterator[Callable[[int, Array], fast_forces.Sums]]:
+    """Provide the `fast_forces.summation` of n sheep, on all cores."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        yield fast_forces.summation(crowd.sheep, n, accuracy, pool.map)
 
 
 def _acceleration(sums: fast_forces.Sums, x: Array, d: Array, constants: kernels.Physics) -> Array:
-    """Do what `kernels.acceleration` does, with forces of sheep from `sums`."""
+    """Do what `kernels.acceleration` does, with forces between sheep from `sums`."""
     out = -sums.gradients(x)
     kernels.subtract_pulls(*out, *x, d, constants.dog)
     out[:, constants.n :] = 0.0
@@ -70,6 +77,11 @@ def check_control(u: Array, dogs: int) -> Array:
     return np.ascontiguousarray(finite('control u', u, (None, dogs, 2)))
 
 
+def positions(ds: Array) -> Array:
+    """Return the positions (K+1, 2, M) of the dogs, as the kernels want them, from states."""
+    return np.ascontiguousarray(ds[:, :2])
+
+
 def rollout(
     crowd: Crowd,
     state: HerdState,
@@ -78,6 +90,7 @@ def rollout(
     substeps: int = 1,
     noise: Array | None = None,
     t: float = 0.0,
+    motion: MotionModel = Holonomic(),
 ) -> Trajectory:
     """Integrate the herd from state under the control u.
 
@@ -85,66 +98,87 @@ def rollout(
     (intervals * substeps, 2, lanes) [m/s] comes from `increments`; None is the coarse model. The
     rollout starts at t [s], which counts when the noise depends on time.
     """
-    n, m = len(state.x), len(state.d)
-    u = check_control(u, m)
-    steps = len(u) * substeps
+    u = check_control(u, len(state.d))
+    return follow(crowd, state, motion.rollout(state.d, u, dt, substeps), dt, noise, t)
+
+
+def follow(
+    crowd: Crowd,
+    state: HerdState,
+    ds: Array,
+    dt: float,
+    noise: Array | None = None,
+    t: float = 0.0,
+) -> Trajectory:
+    """Integrate the sheep from state while the dogs go along ds (K+1, S, M); else as `rollout`."""
+    n, steps = len(state.x), len(ds) - 1
     shape = (steps, 2, kernels.lanes(n))
-    uniform = noise is None or is_uniform(crowd.noise_field)
-    if noise is None:
-        noise = np.zeros(shape)
-    if noise.shape != shape:
-        raise ValueError(f'noise has shape {noise.shape}, allowed is {shape}')
-    xs = np.empty((steps + 1, *shape[1:]))
-    vs = np.empty_like(xs)
-    ds = np.empty((steps + 1, 2, m))
-    xs[0], vs[0], ds[0] = to_lanes(state.x), to_lanes(state.v), state.d.T
-    constants = physics(crowd, n, dt)
+    sigma_db = np.zeros(shape) if noise is None else noise
+    if sigma_db.shape != shape:
+        raise ValueError(f'noise must have shape {shape}, got {sigma_db.shape}')
+    d, constants = positions(ds), physics(crowd, n, dt)
+    xs, vs = np.empty((steps + 1, *shape[1:])), np.empty((steps + 1, *shape[1:]))
+    xs[0], vs[0] = to_lanes(state.x), to_lanes(state.v)
+    field = noise is not None and not is_uniform(crowd.noise_field)
+    if n < fast_forces.CROSSOVER and not field:
+        kernels.rollout(xs, vs, d, sigma_db, constants)
+        return Trajectory(dt, n, xs, vs, ds)
 
-    def noise_of(k: int) -> Array:
-        if uniform:
-            return noise[k]
-        scaled = np.zeros(shape[1:])
-        scaled[:, :n] = factor(crowd, t + k * dt, xs[k, :, :n]) * noise[k, :, :n]
-        return scaled
+    def noise_at(k: int, x: Array) -> Array:
+        if not field:
+            return sigma_db[k]
+        out = np.zeros_like(x)
+        out[:, :n] = random_force(crowd, t + k * dt, x[:, :n], sigma_db[k, :, :n])
+        return out
 
-    if n >= fast_forces.CROSSOVER:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            for k, sums in enumerate(fast_forces.plans(crowd.sheep, xs[:-1], n, pool.map)):
-                held, a = u[k // substeps], _acceleration(sums, xs[k], ds[k], constants)
-                then = xs[k + 1], vs[k + 1], ds[k + 1]
-                kernels.step(xs[k], vs[k], ds[k], held, a, noise_of(k), constants, *then)
-    elif uniform:
-        kernels.rollout(xs, vs, ds, u, substeps, noise, constants)
-    else:
-        for k in range(steps):
-            here, held = slice(k, k + 2), u[k // substeps, None]
-            kernels.rollout(xs[here], vs[here], ds[here], held, 1, noise_of(k)[None], constants)
+    with _summation(crowd, n) as sums:
+
+        def acceleration_at(k: int, x: Array) -> Array:
+            return _acceleration(sums(k, x), x, d[k], constants)
+
+        path = march(xs[0], vs[0], steps, constants, acceleration_at, noise_at)
+        for k, (x, v) in enumerate(path):
+            xs[k], vs[k] = x, v
     return Trajectory(dt, n, xs, vs, ds)
 
 
-def reverse_sweep(crowd: Crowd, trajectory: Trajectory, source: Array, substeps: int) -> Array:
-    """Return the derivative of a cost with respect to the control, (intervals, M, 2).
+def march(
+    x: Array,
+    v: Array,
+    steps: int,
+    constants: kernels.Physics,
+    acceleration: Callable[[int, Array], Array],
+    noise: Callable[[int, Array], Array],
+) -> Iterator[tuple[Array, Array]]:
+    """Yield positions and velocities (2, ...) of the sheep after 0, 1, ... steps.
 
-    source (K+1, 2, lanes) is its partial derivative with respect to the trajectory's xs, zero
-    in the unused lanes; substeps as in `rollout`. Exact for the scheme and the forces of the
-    rollout.
+    `acceleration` and `noise` return what acts during step k on sheep at x.
     """
-    n, dt, xs, ds = trajectory.n, trajectory.dt, trajectory.xs, trajectory.ds
-    constants = physics(crowd, n, dt)
-    steps = len(xs) - 1
-    gradient = np.zeros((steps // substeps, ds.shape[2], 2))
+    yield x, v
+    for k in range(steps):
+        following = np.empty_like(x), np.empty_like(v)
+        kernels.step(x, v, acceleration(k, x), noise(k, x), constants, *following)
+        x, v = following
+        yield x, v
+
+
+def reverse_sweep(crowd: Crowd, trajectory: Trajectory, source: Array) -> Array:
+    """Return the derivative of a cost with respect to the dogs' path, (K+1, 2, M).
+
+    It is per unit of time, as `MotionModel.transpose` wants it. source (K+1, 2, lanes) is the
+    cost's partial derivative with respect to the trajectory's xs, zero in the unused lanes.
+    Exact for the scheme and the forces of the rollout.
+    """
+    n, xs, d = trajectory.n, trajectory.xs, positions(trajectory.ds)
+    constants = physics(crowd, n, trajectory.dt)
+    dogs = np.zeros_like(d)
     if n < fast_forces.CROSSOVER:
-        kernels.adjoint(xs, ds, source, substeps, constants, gradient)
-        return gradient
-    lam, mu, nu = source[steps].copy(), np.zeros_like(xs[0]), np.zeros_like(ds[0])
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        plans = list(fast_forces.plans(crowd.sheep, xs[:-1], n, pool.map))
-        for k in range(steps - 1, -1, -1):
-            gradient[k // substeps] += dt * nu.T
-            h = plans[k].hessian_products(xs[k], mu)
-            kernels.add_hessians_of_dogs(*h, *xs[k], *mu, ds[k], dt, nu, constants.dog)
-            for c in range(2):
-                kernels.retreat(
-                    lam[c, :n], mu[c, :n], h[c, :n], source[k, c, :n], dt, crowd.friction
-                )
-    return gradient
+        kernels.adjoint(xs, d, source, constants, dogs)
+        return dogs
+    lam, mu = source[-1].copy(), np.zeros_like(xs[0])
+    with _summation(crowd, n) as sums:
+        prepared = [sums(k, x) for k, x in enumerate(xs[:-1])]
+        for k in range(len(xs) - 2, -1, -1):
+            h = prepared[k].hessian_products(xs[k], mu)
+            kernels.adjoint_step(xs[k], d[k], source[k], constants, h, lam, mu, dogs[k])
+    return dogs

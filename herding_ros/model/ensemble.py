@@ -10,9 +10,10 @@ import numpy as np
 
 from . import kernels
 from .crowd import Crowd
-from .dynamics import check_control, physics, to_lanes
+from .dynamics import check_control, march, physics, positions, to_lanes
 from .kernels import PATHS
-from .noise import factor, is_uniform, NoisePaths
+from .motion import Holonomic, MotionModel
+from .noise import is_uniform, NoisePaths, random_force
 from .state import Array, HerdState
 
 
@@ -25,6 +26,7 @@ def expected_positions(
     noise: NoisePaths,
     threads: int | None = None,
     t: float = 0.0,
+    motion: MotionModel = Holonomic(),
 ) -> Array:
     """Mean positions (K+1, N, 2) [m] of the sheep over the given noise paths.
 
@@ -42,7 +44,8 @@ def expected_positions(
             f'{noise.paths} paths of noise have shape {noise.blocks.shape}, allowed is {shape} '
             'with at least one path'
         )
-    x, v, d = to_lanes(state.x), to_lanes(state.v), np.ascontiguousarray(state.d.T)
+    x, v = to_lanes(state.x), to_lanes(state.v)
+    d = positions(motion.rollout(state.d, u, dt, substeps))
     constants = physics(crowd, n, dt)
 
     def sum_of_block(block: int) -> Array:
@@ -50,10 +53,9 @@ def expected_positions(
         used = min(noise.paths - block * PATHS, PATHS)
         drawn = noise.blocks[block]
         if is_uniform(crowd.noise_field):
-            kernels.add_paths(total, x, v, d, u, substeps, drawn, used, constants)
+            kernels.add_paths(total, x, v, d, drawn, used, constants)
         else:
-            start = (x[:, :n], v[:, :n], d)
-            xs = paths_in_field(crowd, t, *start, u, substeps, drawn, constants)
+            xs = paths_in_field(crowd, t, x[:, :n], v[:, :n], d, drawn, constants)
             for k, here in enumerate(xs):
                 total[k] = here.reshape(2, n, PATHS)[..., :used].sum(axis=-1)
         return total
@@ -69,24 +71,24 @@ def paths_in_field(
     x: Array,
     v: Array,
     d: Array,
-    u: Array,
-    substeps: int,
     noise: Array,
     physics: kernels.Physics,
 ) -> Iterator[Array]:
     """Yield the positions in some paths at each step, where the noise depends on time and place.
 
-    They start at t [s] from x, v (2, N) and d (2, M); noise (K, 2, N * paths) has the paths of a
-    sheep side by side, and so have the positions (2, N * paths) [m].
+    They start at t [s] from x, v (2, N), with the dogs on the path d (K+1, 2, M); noise
+    (K, 2, N * paths) has the paths of a sheep side by side, and so have the positions
+    (2, N * paths) [m].
     """
     xs, vs = (np.repeat(each, noise.shape[2] // x.shape[1], axis=1) for each in (x, v))
-    ds = d
     a = np.empty_like(xs)
-    for k in range(len(noise)):
-        yield xs
-        scaled = factor(crowd, t + k * physics.dt, xs) * noise[k]
-        following = np.empty_like(xs), np.empty_like(vs), np.empty_like(ds)
-        kernels.acceleration_in_paths(xs, ds, physics, a)
-        kernels.step(xs, vs, ds, u[k // substeps], a, scaled, physics, *following)
-        xs, vs, ds = following
-    yield xs
+
+    def acceleration(k: int, here: Array) -> Array:
+        kernels.acceleration_in_paths(here, d[k], physics, a)
+        return a
+
+    def noise_at(k: int, here: Array) -> Array:
+        return random_force(crowd, t + k * physics.dt, here, noise[k])
+
+    for here, _ in march(xs, vs, len(noise), physics, acceleration, noise_at):
+        yield here

@@ -1,8 +1,9 @@
-"""Which way to sum the forces in a big flock: planned for the flock, checked against the sum."""
+# SPDX-License-Identifier: Apache-2.0
+"""The fastest summation of the forces in a large flock, checked against the direct sum."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 import math
@@ -15,17 +16,17 @@ from .potentials import Potential
 from .state import Array
 
 CROSSOVER = 1500
-"""From this number of sheep on forces come from a plan: measured, see doc/performance.md."""
+"""From this number of sheep on the summation is chosen: measured, see doc/performance.md."""
 
 ACCURACY = 1e-4
-"""Error of the forces on all sheep, relative in the Euclidean norm, that a plan keeps."""
+"""Error of the forces on all sheep, relative in the Euclidean norm, that is kept."""
 
 _CHECKED = 256
 """So many sheep have their forces compared with the direct sum."""
 _SAFETY = 0.7
 """A sample may be luckier than the flock: its error has to keep this part of the bound."""
 _PERIOD = 32
-"""A plan is used for so many steps at most."""
+"""Steps after which a mesh is prepared anew."""
 _MARGIN = 0.02
 """The box is wider than the flock by this part of the flock, on each side, or some more."""
 _BOXES_PER_OCTAVE = 8
@@ -34,7 +35,7 @@ _COUNTED = 2**12
 """So many sheep at most are counted to foretell the number of near pairs."""
 
 # Seconds, of one thread, for a pair in the direct sum, for one within the reach, and for a mesh
-# point. Only their ratios matter. They are constants so that the same flock gets the same plan.
+# point. Only their ratios matter. They are constants so that the same flock gets the same mesh.
 _DIRECT, _PAIR, _POINT = 0.9e-9, 0.9e-9, 7e-9
 # Mesh points on the longer side of the box. The most bounds the memory.
 _POINTS = 16.0 * 2.0 ** (np.arange(29) / 4.0)
@@ -78,7 +79,7 @@ Sums = ParticleMesh | DirectSum
 """What sums the forces: has `gradients`, `hessian_products`, and a box that `holds` the flock."""
 
 
-def plan(
+def prepare(
     potential: Potential, x: Array, n: int, accuracy: float = ACCURACY, run: Run = map
 ) -> Sums:
     """Return what sums the forces of n sheep near x (2, lanes) [m] fastest, to the accuracy.
@@ -137,15 +138,24 @@ def _cheapest(x: Array, low: Array, extent: Array, ratio: float) -> tuple[float,
     return best[1], best[0]
 
 
-def plans(
-    potential: Potential, xs: Array, n: int, run: Run, accuracy: float = ACCURACY
-) -> Iterator[Sums]:
-    """Yield the plan of each step of a rollout xs[K+1, 2, lanes] [m], looking no further.
+def summation(
+    potential: Potential, n: int, accuracy: float = ACCURACY, run: Run = map
+) -> Callable[[int, Array], Sums]:
+    """Return a function of the number k of a step and of x (2, lanes) [m]: what sums its forces.
 
-    So a rollout that is only just being made, and later its reverse sweep, have the same.
+    It is to be called for k = 0, 1, ... of a rollout in turn, and depends on no later step: a
+    rollout in the making and, later, its reverse sweep get the same. Less than CROSSOVER sheep
+    are summed directly.
     """
-    present = None
-    for k, x in enumerate(xs):
+    if n < CROSSOVER:
+        direct = DirectSum(potential, n)
+        return lambda k, x: direct
+    present: Sums | None = None
+
+    def sums(k: int, x: Array) -> Sums:
+        nonlocal present
         if present is None or k % _PERIOD == 0 or not present.holds(x):
-            present = plan(potential, x, n, accuracy, run)
-        yield present
+            present = prepare(potential, x, n, accuracy, run)
+        return present
+
+    return sums

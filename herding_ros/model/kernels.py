@@ -1,12 +1,13 @@
-"""The compiled inner loops: one time step, its adjoint, and the sweeps over them.
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled inner loops: one time step of the sheep, its adjoint, and the sweeps over them.
 
 Everything here works on plain arrays laid out for vector units: coordinates first, sheep
-last and contiguous, padded with unused lanes to a multiple of LANES. A state is x[2, lanes],
-v[2, lanes], d[2, M]. Kernels that call each other sit in one file because
-Numba's on-disk cache notices a changed file, but not a changed import. They release the GIL.
+last and contiguous, padded with unused lanes to a multiple of LANES. Sheep are x[2, lanes] and
+v[2, lanes], dogs d[2, M]; dogs do not depend on sheep, so their path is an argument. Kernels
+that call each other sit in one file because Numba's on-disk cache notices a changed file, but
+not a changed import.
 
-Symbols are those of the paper: alpha friction, mu and lam the adjoints of v and x, nu the
-adjoint of d.
+Symbols are those of the paper: alpha friction, mu and lam the adjoints of v and x.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 import numpy as np
 
+from .jit import exact, INLINED, inlined, kernel, OPTIONS
 from .state import Array
 
 LANES = 8
@@ -29,18 +31,6 @@ PATHS = 16
 Loops over them have a fixed length that the compiler sees. With 8 it would unroll them before
 it vectorises.
 """
-
-# 'reassoc' lets the compiler sum rows in vector registers, 'contract' lets it fuse
-# multiply-adds. NaN and infinity keep their meaning. The order of summation is fixed at
-# compile time, so results repeat bit for bit.
-_OPTIONS: dict[str, Any] = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
-_FAST: dict[str, Any] = {'fastmath': {'reassoc', 'contract', 'nsz'}}
-_kernel = njit(**_OPTIONS, **_FAST)
-# What is called in an innermost loop has to be inlined, or the loop cannot be vectorised.
-_INLINED: dict[str, Any] = {**_FAST, 'forceinline': True}
-_inlined = njit(**_OPTIONS, **_INLINED)
-# Argument reduction depends on the order of its operations: no reassociation here.
-_exact = njit(**_OPTIONS, fastmath={'contract'}, forceinline=True)
 
 MorseCoefficients = tuple[float, float, float, float]
 """(C_r / l_r, 1 / l_r, C_a / l_a, 1 / l_a) of a Morse potential."""
@@ -88,13 +78,13 @@ _UNDERFLOW = -700.0
 _ROUNDING = 1.5 * 2.0**52
 
 
-@_inlined
+@inlined
 def lanes(n: int) -> int:
     """Return the padded number of lanes for n sheep."""
     return -(-n // LANES) * LANES
 
 
-@_exact
+@exact
 def exp_neg(x: float) -> float:
     """e**x for x <= 0 in straight-line code, which the compiler vectorises.
 
@@ -157,7 +147,7 @@ def divided(p: PotentialForm, n: int) -> PotentialForm:
     return (p[0] / n, p[1], p[2] / n, p[3])
 
 
-@_exact
+@exact
 def _piece(r2: float, p: Table) -> tuple[Any, float]:
     """Return the number of the piece that holds r2, and the way from its beginning."""
     z = min(max(r2, p.low), p.high)
@@ -167,20 +157,20 @@ def _piece(r2: float, p: Table) -> tuple[Any, float]:
     return np.uint64((bits >> _SHIFT) - first), way
 
 
-@_inlined
+@inlined
 def _morse_slope_over_r(r2: float, p: MorseCoefficients) -> float:
     r = math.sqrt(r2)
     slope = p[2] * exp_neg(-p[3] * r) - p[0] * exp_neg(-p[1] * r)
     return slope / r if r2 > 0.0 else 0.0
 
 
-@_inlined
+@inlined
 def _table_slope_over_r(r2: float, p: Table) -> float:
     i, t = _piece(r2, p)
     return p.c0[i] + t * (p.c1[i] + t * (p.c2[i] + t * p.c3[i]))
 
 
-@_inlined
+@inlined
 def _morse_hessian(r2: float, p: MorseCoefficients) -> tuple[float, float]:
     r = math.sqrt(r2)
     attraction = p[2] * exp_neg(-p[3] * r)
@@ -191,7 +181,7 @@ def _morse_hessian(r2: float, p: MorseCoefficients) -> tuple[float, float]:
     return a, b
 
 
-@_inlined
+@inlined
 def _table_hessian(r2: float, p: Table) -> tuple[float, float]:
     i, t = _piece(r2, p)
     a = p.c0[i] + t * (p.c1[i] + t * (p.c2[i] + t * p.c3[i]))
@@ -205,7 +195,7 @@ def _by_form(morse: Any, table: Any) -> Any:
     def function(r2: float, p: PotentialForm) -> Any:
         raise NotImplementedError('to be called from compiled code')
 
-    options: Any = {**_OPTIONS, **_INLINED}
+    options: Any = {**OPTIONS, **INLINED}
 
     @overload(function, jit_options=options)
     def _choose(r2, p):  # type: ignore[no-untyped-def]  # Numba compares annotations
@@ -220,7 +210,7 @@ _slope_over_r = _by_form(_morse_slope_over_r, _table_slope_over_r)
 _hessian = _by_form(_morse_hessian, _table_hessian)
 
 
-@_inlined
+@inlined
 def slope_over_r(r2: float, p: PotentialForm) -> float:
     """P'(r) / r at r**2 = r2, of a Morse potential zero at r = 0.
 
@@ -229,7 +219,7 @@ def slope_over_r(r2: float, p: PotentialForm) -> float:
     return _slope_over_r(r2, p)
 
 
-@_inlined
+@inlined
 def hessian(r2: float, p: PotentialForm) -> tuple[float, float]:
     """(a, b) with a w + b (s.w) s = Hessian of P(|s|) times w, of Morse zero at s = 0.
 
@@ -239,7 +229,7 @@ def hessian(r2: float, p: PotentialForm) -> tuple[float, float]:
     return _hessian(r2, p)
 
 
-@_kernel
+@kernel
 def _pair_terms(r2: Array, p: PotentialForm, a: Array, b: Array) -> None:
     for i in range(r2.shape[0]):
         a[i], b[i] = hessian(r2[i], p)
@@ -253,7 +243,7 @@ def pair_terms(r2: Array, p: PotentialForm) -> tuple[Array, Array]:
     return a.reshape(np.shape(r2)), b.reshape(np.shape(r2))
 
 
-@_inlined
+@inlined
 def _exchange_pulls(
     ax: Array,
     ay: Array,
@@ -278,7 +268,7 @@ def _exchange_pulls(
         by[i] += a * sy
 
 
-@_kernel
+@kernel
 def _pull_round(
     ax: Array,
     ay: Array,
@@ -305,7 +295,7 @@ def _pull_round(
         )  # fmt: skip
 
 
-@_inlined
+@inlined
 def _subtract_pull_of_dog(
     ax: Array, ay: Array, x: Array, y: Array, dx: float, dy: float, p: PotentialForm
 ) -> None:
@@ -318,14 +308,14 @@ def _subtract_pull_of_dog(
         ay[i] -= a * sy
 
 
-@_kernel
+@kernel
 def subtract_pulls(ax: Array, ay: Array, x: Array, y: Array, d: Array, p: PotentialForm) -> None:
     """Subtract from each sheep's acceleration the gradients of P(|x_i - d_m|), d[2, M]."""
     for m in range(d.shape[1]):
         _subtract_pull_of_dog(ax, ay, x, y, d[0, m], d[1, m], p)
 
 
-@_kernel
+@kernel
 def _fill(x: Array, first: int, value: float) -> None:
     """Put value in x[2, first:]."""
     for c in range(2):
@@ -333,7 +323,7 @@ def _fill(x: Array, first: int, value: float) -> None:
             x[c, i] = value
 
 
-@_kernel
+@kernel
 def _repeat(x: Array, n: int, out: Array) -> None:
     """Put x[2, :n], twice one after the other, in out[2, :]."""
     for c in range(2):
@@ -342,7 +332,7 @@ def _repeat(x: Array, n: int, out: Array) -> None:
             out[c, n + i] = x[c, i]
 
 
-@_kernel
+@kernel
 def _fold(b: Array, n: int, out: Array) -> None:
     """Add b[2, :2 n], laid over itself after n, to out[2, :n]."""
     for c in range(2):
@@ -350,7 +340,7 @@ def _fold(b: Array, n: int, out: Array) -> None:
             out[c, i] += b[c, i] + b[c, n + i]
 
 
-@_kernel
+@kernel
 def acceleration(x: Array, d: Array, physics: Physics, ring: Array, out: Array) -> None:
     """Put the interaction forces on the sheep (paper, state system, no friction) in out.
 
@@ -371,7 +361,7 @@ def acceleration(x: Array, d: Array, physics: Physics, ring: Array, out: Array) 
     _fill(out, n, 0.0)
 
 
-@_inlined
+@inlined
 def _subtract_pull_of_pair(
     ax: Array, ay: Array, x: Array, y: Array, i: int, j: int, p: PotentialForm
 ) -> None:
@@ -386,14 +376,14 @@ def _subtract_pull_of_pair(
         ay[j + path] += a * sy
 
 
-@_kernel
+@kernel
 def _subtract_pulls_in_paths(ax: Array, ay: Array, x: Array, y: Array, p: PotentialForm) -> None:
     for i in range(0, x.shape[0], PATHS):
         for j in range(0, i, PATHS):
             _subtract_pull_of_pair(ax, ay, x, y, i, j, p)
 
 
-@_kernel
+@kernel
 def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> None:
     """Do what `acceleration` does for PATHS paths at once: x, out[2, sheep * PATHS].
 
@@ -413,44 +403,36 @@ def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> N
     subtract_pulls(out[0], out[1], x[0], x[1], d, physics.dog)
 
 
-@_kernel
+@inlined
 def step(
-    x: Array,
-    v: Array,
-    d: Array,
-    u: Array,
-    a: Array,
-    noise: Array,
-    physics: Physics,
-    x_next: Array,
-    v_next: Array,
-    d_next: Array,
+    x: Array, v: Array, a: Array, noise: Array, physics: Physics, x_next: Array, v_next: Array
 ) -> None:
-    """One Euler-Maruyama step; a the acceleration, noise = sigma dB, u[M, 2] the control."""
+    """One Euler-Maruyama step of the sheep; a the acceleration, noise = sigma dB.
+
+    All are [2, lanes]. x_next and v_next may be x and v themselves.
+    """
     dt, alpha = physics.dt, physics.alpha
     for c in range(2):
         for i in range(x.shape[1]):
-            x_next[c, i] = x[c, i] + dt * v[c, i]
-            v_next[c, i] = v[c, i] + dt * (a[c, i] - alpha * v[c, i]) + noise[c, i]
-        for m in range(d.shape[1]):
-            d_next[c, m] = d[c, m] + dt * u[m, c]
+            velocity = v[c, i]
+            x_next[c, i] = x[c, i] + dt * velocity
+            v_next[c, i] = velocity + dt * (a[c, i] - alpha * velocity) + noise[c, i]
 
 
-@_kernel
-def rollout(
-    x: Array, v: Array, d: Array, u: Array, substeps: int, noise: Array, physics: Physics
-) -> None:
-    """Fill x[K+1, 2, lanes], v, d[K+1, 2, M] from their first entries; noise[K, 2, lanes]."""
+@kernel
+def rollout(x: Array, v: Array, d: Array, noise: Array, physics: Physics) -> None:
+    """Fill x[K+1, 2, lanes] and v from their first entries.
+
+    d[K+1, 2, M] is the path of the dogs, noise[K, 2, lanes] as in `step`.
+    """
     a = np.empty_like(x[0])
     ring = np.zeros((2, 2, 2 * x.shape[2]))
     for k in range(noise.shape[0]):
         acceleration(x[k], d[k], physics, ring, a)
-        step(
-            x[k], v[k], d[k], u[k // substeps], a, noise[k], physics, x[k + 1], v[k + 1], d[k + 1]
-        )
+        step(x[k], v[k], a, noise[k], physics, x[k + 1], v[k + 1])
 
 
-@_kernel
+@kernel
 def _dot(x: Array, y: Array) -> float:
     total = 0.0
     for i in range(x.shape[0]):
@@ -458,60 +440,35 @@ def _dot(x: Array, y: Array) -> float:
     return total
 
 
-@_kernel
+@kernel
 def add_paths(
-    total: Array,
-    x: Array,
-    v: Array,
-    d: Array,
-    u: Array,
-    substeps: int,
-    noise: Array,
-    paths: int,
-    physics: Physics,
+    total: Array, x: Array, v: Array, d: Array, noise: Array, paths: int, physics: Physics
 ) -> None:
     """Add the positions in the first `paths` of PATHS paths to total[K+1, 2, n].
 
     noise[K, 2, n * PATHS], a sheep's paths side by side. All paths start from x[2, lanes], v,
-    d[2, M]. No trajectory is stored.
+    and share the path of the dogs d[K+1, 2, M]. No trajectory is stored.
     """
     n, steps = physics.n, noise.shape[0]
     a = np.empty((2, n * PATHS))
-    # Two states, the present one and the next, take turns.
-    xs = np.empty((2, 2, n * PATHS))
-    vs = np.empty((2, 2, n * PATHS))
-    ds = np.empty((2, 2, d.shape[1]))
-    ds[0] = d
+    xs = np.empty((2, n * PATHS))
+    vs = np.empty((2, n * PATHS))
     for c in range(2):
         for i in range(n):
-            xs[0, c, i * PATHS : (i + 1) * PATHS] = x[c, i]
-            vs[0, c, i * PATHS : (i + 1) * PATHS] = v[c, i]
+            xs[c, i * PATHS : (i + 1) * PATHS] = x[c, i]
+            vs[c, i * PATHS : (i + 1) * PATHS] = v[c, i]
     used = np.zeros(PATHS)
     used[:paths] = 1.0
     for k in range(steps + 1):
-        here, there = k % 2, 1 - k % 2
         for c in range(2):
             for i in range(n):
-                total[k, c, i] += _dot(xs[here, c, i * PATHS : (i + 1) * PATHS], used)
+                total[k, c, i] += _dot(xs[c, i * PATHS : (i + 1) * PATHS], used)
         if k < steps:
-            acceleration_in_paths(xs[here], ds[here], physics, a)
-            step(
-                xs[here], vs[here], ds[here], u[k // substeps], a, noise[k], physics,
-                xs[there], vs[there], ds[there],
-            )  # fmt: skip
+            acceleration_in_paths(xs, d[k], physics, a)
+            step(xs, vs, a, noise[k], physics, xs, vs)
 
 
-@_kernel
-def _advance(x: Array, v: Array, a: Array, noise: Array, dt: float, alpha: float) -> None:
-    """Make an Euler-Maruyama step of the sheep in place; all [2, sheep * paths]."""
-    for c in range(2):
-        for i in range(x.shape[1]):
-            velocity = v[c, i]
-            x[c, i] += dt * velocity
-            v[c, i] = velocity + dt * (a[c, i] - alpha * velocity) + noise[c, i]
-
-
-@_inlined
+@inlined
 def _add_over_sheep(x: Array, paths: int, factor: float, out: Array) -> None:
     """Add factor times the sum over the sheep in x[sheep * paths] to out[paths]."""
     for i in range(0, x.shape[0], paths):
@@ -519,7 +476,7 @@ def _add_over_sheep(x: Array, paths: int, factor: float, out: Array) -> None:
             out[path] += factor * x[i + path]
 
 
-@_kernel
+@kernel
 def centres(x: Array, v: Array, d: Array, noise: Array, physics: Physics, out: Array) -> None:
     """Put the sheep's centres in some paths in out[K+1, 2, paths].
 
@@ -541,14 +498,14 @@ def centres(x: Array, v: Array, d: Array, noise: Array, physics: Physics, out: A
             _add_over_sheep(xs[c], paths, 1.0 / sheep, out[k, c])
         if k < noise.shape[0]:
             acceleration_in_paths(xs, d[k], physics, a)
-            _advance(xs, vs, a, noise[k], physics.dt, physics.alpha)
+            step(xs, vs, a, noise[k], physics, xs, vs)
 
 
-@_kernel
-def free_centres(noise: Array, sheep: int, dt: float, alpha: float, out: Array) -> None:
+@kernel
+def free_centres(noise: Array, sheep: int, physics: Physics, out: Array) -> None:
     """Put what noise[K, 2, sheep * paths] does to the centre of free sheep in out[K+1, 2, paths].
 
-    Free sheep know friction only; they start at rest in the origin.
+    Only friction acts on free sheep; they start at rest in the origin.
     """
     paths = out.shape[2]
     x = np.zeros((2, paths))
@@ -560,11 +517,11 @@ def free_centres(noise: Array, sheep: int, dt: float, alpha: float, out: Array) 
         mean[:] = 0.0
         for c in range(2):
             _add_over_sheep(noise[k, c], paths, 1.0 / sheep, mean[c])
-        _advance(x, v, no_force, mean, dt, alpha)
+        step(x, v, no_force, mean, physics, x, v)
         out[k + 1] = x
 
 
-@_kernel
+@kernel
 def _sum(x: Array) -> float:
     total = 0.0
     for i in range(x.shape[0]):
@@ -572,7 +529,7 @@ def _sum(x: Array) -> float:
     return total
 
 
-@_kernel
+@kernel
 def _pull_to(
     x: Array, centre: float, error: float, centre_weight: float, spread_weight: float, out: Array
 ) -> float:
@@ -585,7 +542,7 @@ def _pull_to(
     return 0.5 * (x.shape[0] * centre_weight * error * error + spread_weight * squares)
 
 
-@_kernel
+@kernel
 def tracking_cost(
     x: Array,
     reference: Array,
@@ -620,7 +577,7 @@ def tracking_cost(
     return cost
 
 
-@_kernel
+@kernel
 def times(matrix: Array, x: Array, out: Array) -> None:
     """Put matrix[m, n] x[n] in out[m].
 
@@ -630,7 +587,7 @@ def times(matrix: Array, x: Array, out: Array) -> None:
         out[i] = _dot(matrix[i], x)
 
 
-@_kernel
+@kernel
 def transposed_times(matrix: Array, y: Array, out: Array) -> None:
     """Put y[m] matrix[m, n] in out[n]."""
     out[:] = 0.0
@@ -638,13 +595,13 @@ def transposed_times(matrix: Array, y: Array, out: Array) -> None:
         _add_multiple(y[i], matrix[i], out)
 
 
-@_kernel
+@kernel
 def _add_multiple(factor: float, x: Array, out: Array) -> None:
     for i in range(x.shape[0]):
         out[i] += factor * x[i]
 
 
-@_inlined
+@inlined
 def _exchange_hessians(
     hx: Array,
     hy: Array,
@@ -679,7 +636,7 @@ def _exchange_hessians(
         gy[i] -= ay
 
 
-@_kernel
+@kernel
 def _hessians_round(
     hx: Array,
     hy: Array,
@@ -708,7 +665,7 @@ def _hessians_round(
         )  # fmt: skip
 
 
-@_inlined
+@inlined
 def _add_hessian_of_dog(
     hx: Array,
     hy: Array,
@@ -737,7 +694,7 @@ def _add_hessian_of_dog(
     return sum_x, sum_y
 
 
-@_kernel
+@kernel
 def add_hessians_of_dogs(
     hx: Array,
     hy: Array,
@@ -746,18 +703,17 @@ def add_hessians_of_dogs(
     mu_x: Array,
     mu_y: Array,
     d: Array,
-    dt: float,
-    nu: Array,
+    source: Array,
     p: PotentialForm,
 ) -> None:
-    """Add Hessians of P(|x_i - d_m|) times mu_i to h_i, and dt times their sums to nu[2, M]."""
+    """Add Hessians of P(|x_i - d_m|) times mu_i to h_i, and put their sums in source[2, M]."""
     for m in range(d.shape[1]):
-        sum_x, sum_y = _add_hessian_of_dog(hx, hy, x, y, mu_x, mu_y, d[0, m], d[1, m], p)
-        nu[0, m] += dt * sum_x
-        nu[1, m] += dt * sum_y
+        source[0, m], source[1, m] = _add_hessian_of_dog(
+            hx, hy, x, y, mu_x, mu_y, d[0, m], d[1, m], p
+        )
 
 
-@_kernel
+@kernel
 def hessian_products(
     x: Array, mu: Array, n: int, p: PotentialForm, ring: Array, out: Array
 ) -> None:
@@ -777,44 +733,48 @@ def hessian_products(
     _fold(reaction, n, out)
 
 
-@_kernel
-def adjoint(
-    x: Array, d: Array, source: Array, substeps: int, physics: Physics, gradient: Array
-) -> None:
+@kernel
+def adjoint(x: Array, d: Array, source: Array, physics: Physics, dogs: Array) -> None:
     """Reverse sweep of rollout: the exact transpose of its linearisation.
 
-    x[K+1, 2, lanes], d[K+1, 2, M] from rollout; source[K+1, 2, lanes] = partial derivative of
-    the cost with respect to x, zero in the unused lanes. Adds to gradient[intervals, M, 2]
-    the derivative with respect to the control of each interval of `substeps` steps. Visits
-    the pairs as `acceleration` does.
+    x[K+1, 2, lanes] from rollout along the path d[K+1, 2, M] of the dogs; source[K+1, 2, lanes]
+    = partial derivative of the cost with respect to x, zero in the unused lanes. Puts the
+    derivative with respect to d, per unit of time, in dogs[K+1, 2, M]. Visits the pairs as
+    `acceleration` does.
     """
-    n, dt, alpha = physics.n, physics.dt, physics.alpha
     steps = x.shape[0] - 1
     lam = source[steps].copy()
     mu = np.zeros_like(lam)
-    nu = np.zeros((2, d.shape[2]))
     h = np.empty_like(lam)
     ring = np.zeros((3, 2, 2 * x.shape[2]))
+    dogs[steps] = 0.0
     for k in range(steps - 1, -1, -1):
-        for m in range(d.shape[2]):
-            for c in range(2):
-                gradient[k // substeps, m, c] += dt * nu[c, m]
-        hessian_products(x[k], mu, n, physics.sheep, ring, h)
-        add_hessians_of_dogs(h[0], h[1], x[k, 0], x[k, 1], mu[0], mu[1], d[k], dt, nu, physics.dog)
-        for c in range(2):
-            retreat(lam[c, :n], mu[c, :n], h[c, :n], source[k, c, :n], dt, alpha)
+        hessian_products(x[k], mu, physics.n, physics.sheep, ring, h)
+        adjoint_step(x[k], d[k], source[k], physics, h, lam, mu, dogs[k])
 
 
-@_kernel
-def retreat(lam: Array, mu: Array, h: Array, source: Array, dt: float, alpha: float) -> None:
-    """One step back in time; h the Hessian products, `source` as in `adjoint`."""
+@kernel
+def adjoint_step(
+    x: Array, d: Array, source: Array, physics: Physics, h: Array, lam: Array, mu: Array,
+    dogs: Array,
+) -> None:  # fmt: skip
+    """One step back in time, as in `adjoint`; h holds the `hessian_products` of the sheep."""
+    n = physics.n
+    add_hessians_of_dogs(h[0], h[1], x[0], x[1], mu[0], mu[1], d, dogs, physics.dog)
+    for c in range(2):
+        _step_back(lam[c, :n], mu[c, :n], h[c, :n], source[c, :n], physics.dt, physics.alpha)
+
+
+@inlined
+def _step_back(lam: Array, mu: Array, h: Array, source: Array, dt: float, alpha: float) -> None:
+    """The transpose of `step`; h the products of all Hessians with mu."""
     for i in range(lam.shape[0]):
         mu_i = mu[i]
         mu[i] = (1.0 - alpha * dt) * mu_i + dt * lam[i]
         lam[i] += source[i] - dt * h[i]
 
 
-@_kernel
+@kernel
 def _hessians_at(
     source_x: float, source_y: float, x: Array, y: Array, p: PotentialForm,
     xx: Array, xy: Array, yy: Array,
@@ -828,14 +788,14 @@ def _hessians_at(
         yy[i] = a + b * sy * sy
 
 
-@_kernel
+@kernel
 def _hessians(sources: Array, x: Array, p: PotentialForm, out: Array) -> None:
     """Put xx, xy and yy of the Hessians of P(|x_i - source_j|) in out[j, 3, i]."""
     for j in range(sources.shape[1]):
         _hessians_at(sources[0, j], sources[1, j], x[0], x[1], p, out[j, 0], out[j, 1], out[j, 2])
 
 
-@_inlined
+@inlined
 def _add_hessian_of_pair(
     hx: Array, hy: Array, mu_x: Array, mu_y: Array, i: int, j: int, xx: float, xy: float, yy: float
 ) -> None:
@@ -851,7 +811,7 @@ def _add_hessian_of_pair(
         hy[j + k] -= gy
 
 
-@_kernel
+@kernel
 def _add_hessians_of_pairs(
     hx: Array, hy: Array, mu_x: Array, mu_y: Array, n: int, flock: Array, dog: Array
 ) -> None:
@@ -868,17 +828,15 @@ def _add_hessians_of_pairs(
             _add_hessian_of_pair(hx, hy, mu_x, mu_y, i * PATHS, (n + m) * PATHS, xx, xy, yy)
 
 
-@_kernel
-def centre_adjoints(
-    x: Array, d: Array, nodes: Array, substeps: int, physics: Physics, gradients: Array
-) -> None:
+@kernel
+def centre_adjoints(x: Array, d: Array, nodes: Array, physics: Physics, dogs: Array) -> None:
     """Do PATHS reverse sweeps at once, each as `adjoint` does: for the centre at some steps.
 
     Lane 2 q + c is for coordinate c of the sheep's centre at step nodes[q] >= 1, with
-    PATHS / 2 nodes; zeros fill up. Adds the derivatives with respect to the control to
-    gradients[intervals, 2, M * PATHS].
+    PATHS / 2 nodes; zeros fill up. Puts the derivatives with respect to the path of the dogs,
+    per unit of time, in dogs[K+1, 2, M * PATHS].
     """
-    n, dt, alpha = physics.n, physics.dt, physics.alpha
+    n = physics.n
     flock = np.empty((n, 3, x.shape[2]))
     dog = np.empty((d.shape[2], 3, x.shape[2]))
     # Sheep, then dogs, whose mu is zero: velocities do not depend on the controls.
@@ -887,25 +845,26 @@ def centre_adjoints(
     no_source = np.zeros(sheep)
     mu = np.zeros((2, sheep + d.shape[2] * PATHS))
     h = np.empty_like(mu)
-    nu = np.zeros((2, d.shape[2] * PATHS))
     last = nodes.max()
+    dogs[last:] = 0.0
     for k in range(last, -1, -1):
         if k < last:
             _hessians(x[k, :, :n], x[k], physics.sheep, flock)
             _hessians(d[k], x[k], physics.dog, dog)
             h[:] = 0.0
             _add_hessians_of_pairs(h[0], h[1], mu[0], mu[1], n, flock, dog)
+            np.negative(h[:, sheep:], dogs[k])
             for c in range(2):
-                _add_multiple(dt, nu[c], gradients[k // substeps, c])
-                _add_multiple(-dt, h[c, sheep:], nu[c])
-                retreat(lam[c], mu[c, :sheep], h[c, :sheep], no_source, dt, alpha)
+                _step_back(
+                    lam[c], mu[c, :sheep], h[c, :sheep], no_source, physics.dt, physics.alpha
+                )
         for q in range(nodes.shape[0]):
             if nodes[q] == k:
                 for c in range(2):
                     lam[c, 2 * q + c :: PATHS] += 1.0 / n
 
 
-@_kernel
+@kernel
 def linear_centres(x: Array, d: Array, noise: Array, physics: Physics, out: Array) -> None:
     """Put the centre's first-order answer to the noise, in PATHS paths, in out[K+1, 2, PATHS].
 
@@ -926,6 +885,7 @@ def linear_centres(x: Array, d: Array, noise: Array, physics: Physics, out: Arra
         h[:] = 0.0
         _add_hessians_of_pairs(h[0], h[1], dx[0], dx[1], n, flock, dog)
         np.negative(h, h)
-        _advance(dx[:, :sheep], dv, h[:, :sheep], noise[k], physics.dt, physics.alpha)
+        moved = dx[:, :sheep]
+        step(moved, dv, h[:, :sheep], noise[k], physics, moved, dv)
         for c in range(2):
             _add_over_sheep(dx[c, :sheep], PATHS, 1.0 / n, out[k + 1, c])

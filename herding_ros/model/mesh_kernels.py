@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiled loops between sheep and mesh: spread weights and gather fields by B-splines.
 
 They call nothing of the other kernels, so they may stand in a file of their own. A mesh is a
@@ -10,18 +11,13 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from numba import njit
 import numpy as np
 
+from .jit import inlined, kernel
 from .state import Array
 
 ORDER = 8
 """Sheep are spread over so many mesh points in each direction, by a B-spline of this order."""
-
-_OPTIONS: dict[str, Any] = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
-_FAST: dict[str, Any] = {'fastmath': {'reassoc', 'contract', 'nsz'}}
-_kernel = njit(**_OPTIONS, **_FAST)
-_inlined = njit(**_OPTIONS, **_FAST, forceinline=True)
 
 
 def _spline_pieces() -> tuple[tuple[float, ...], ...]:
@@ -49,25 +45,25 @@ _PIECES = _spline_pieces()[::-1]
 Weights = tuple[float, float, float, float, float, float, float, float]
 
 
-@_inlined
+@inlined
 def _value(u: float, c: Weights) -> float:
     e = ((c[7] * u + c[6]) * u + c[5]) * u + c[4]
     return (((e * u + c[3]) * u + c[2]) * u + c[1]) * u + c[0]
 
 
-@_inlined
+@inlined
 def _slope(u: float, c: Weights) -> float:
     e = ((7.0 * c[7] * u + 6.0 * c[6]) * u + 5.0 * c[5]) * u + 4.0 * c[4]
     return ((e * u + 3.0 * c[3]) * u + 2.0 * c[2]) * u + c[1]
 
 
-@_inlined
+@inlined
 def _curvature(u: float, c: Weights) -> float:
     e = ((42.0 * c[7] * u + 30.0 * c[6]) * u + 20.0 * c[5]) * u + 12.0 * c[4]
     return (e * u + 6.0 * c[3]) * u + 2.0 * c[2]
 
 
-@_inlined
+@inlined
 def _all(of_piece: Any, u: float) -> Weights:
     """Return a function of all pieces at u: the weights of ORDER mesh points, or derivatives."""
     return (
@@ -82,7 +78,7 @@ def _all(of_piece: Any, u: float) -> Weights:
     )
 
 
-@_inlined
+@inlined
 def _add_row(mesh: Array, at: int, factor: float, w: Weights) -> None:
     mesh[at] += factor * w[0]
     mesh[at + np.uint64(1)] += factor * w[1]
@@ -94,7 +90,7 @@ def _add_row(mesh: Array, at: int, factor: float, w: Weights) -> None:
     mesh[at + np.uint64(7)] += factor * w[7]
 
 
-@_inlined
+@inlined
 def _add_outer(mesh: Array, at: int, stride: int, factor: float, wy: Weights, wx: Weights) -> None:
     """Add factor wy wx^T to the mesh points from `at` on."""
     _add_row(mesh, at, factor * wy[0], wx)
@@ -107,7 +103,7 @@ def _add_outer(mesh: Array, at: int, stride: int, factor: float, wy: Weights, wx
     _add_row(mesh, at + np.uint64(7) * stride, factor * wy[7], wx)
 
 
-@_inlined
+@inlined
 def _row(mesh: Array, at: int, w: Weights) -> float:
     low = (mesh[at] * w[0] + mesh[at + np.uint64(1)] * w[1]) + (
         mesh[at + np.uint64(2)] * w[2] + mesh[at + np.uint64(3)] * w[3]
@@ -118,7 +114,7 @@ def _row(mesh: Array, at: int, w: Weights) -> float:
     return low + high
 
 
-@_inlined
+@inlined
 def _inner(mesh: Array, at: int, stride: int, wy: Weights, wx: Weights) -> float:
     """Return wy^T mesh wx, of the mesh points from `at` on."""
     total = wy[0] * _row(mesh, at, wx) + wy[1] * _row(mesh, at + stride, wx)
@@ -144,7 +140,7 @@ class Mesh(NamedTuple):
     first_row: int
 
 
-@_inlined
+@inlined
 def _place(x: float, y: float, mesh: Mesh) -> tuple[Any, float, float]:
     """Return the first mesh point of a sheep, and the ways from it in units of the mesh."""
     gx, gy = (x - mesh.x0) * mesh.per_length, (y - mesh.y0) * mesh.per_length
@@ -153,7 +149,7 @@ def _place(x: float, y: float, mesh: Mesh) -> tuple[Any, float, float]:
     return at, gx - column, gy - row
 
 
-@_kernel
+@kernel
 def spread(x: Array, y: Array, mesh: Mesh, points: Array) -> None:
     """Add each sheep's spline weights to the mesh points about it."""
     stride = np.uint64(mesh.stride)
@@ -162,7 +158,7 @@ def spread(x: Array, y: Array, mesh: Mesh, points: Array) -> None:
         _add_outer(points, at, stride, 1.0, _all(_value, v), _all(_value, u))
 
 
-@_kernel
+@kernel
 def gather(x: Array, y: Array, mesh: Mesh, points: Array, ax: Array, ay: Array) -> None:
     """Add the gradient of the field, interpolated between the mesh points, to ax, ay."""
     stride = np.uint64(mesh.stride)
@@ -173,7 +169,7 @@ def gather(x: Array, y: Array, mesh: Mesh, points: Array, ax: Array, ay: Array) 
         ay[i] += mesh.per_length * _inner(points, at, stride, _all(_slope, v), wx)
 
 
-@_kernel
+@kernel
 def spread_dipoles(
     x: Array, y: Array, mu_x: Array, mu_y: Array, mesh: Mesh, points: Array
 ) -> None:
@@ -186,7 +182,7 @@ def spread_dipoles(
         _add_outer(points, at, stride, mesh.per_length * mu_y[i], _all(_slope, v), wx)
 
 
-@_kernel
+@kernel
 def gather_hessians(
     x: Array, y: Array, mu_x: Array, mu_y: Array, mesh: Mesh, points: Array, dipoles: Array,
     hx: Array, hy: Array,

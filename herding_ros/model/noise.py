@@ -106,6 +106,11 @@ def factor(crowd: Crowd, t: float, x: Array) -> Array:
     return values
 
 
+def random_force(crowd: Crowd, t: float, x: Array, drawn: Array) -> Array:
+    """Return sigma(t, x) dB at t [s] and x (2, N) [m], from sigma dB as drawn, (2, N) [m/s]."""
+    return drawn if is_uniform(crowd.noise_field) else factor(crowd, t, x) * drawn
+
+
 def strength(crowd: Crowd, t: float, x: Array) -> Array | float:
     """Return sigma(t, x) [m/s^1.5], (N,) or one number, at t [s] and places x (N, 2) [m]."""
     field = crowd.noise_field

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiled loops over near pairs of a big flock: sort, gradients, Hessian products.
 
 They call nothing of the other kernels, so they may stand in a file of their own. Sheep are
@@ -10,12 +11,12 @@ are unsigned: one that may be negative stops vectorisation.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numba import njit
 import numpy as np
 from numpy.typing import NDArray
 
+from .jit import inlined, kernel
 from .state import Array
 
 Indices = NDArray[np.int64]
@@ -25,11 +26,6 @@ CHUNK = 8
 
 Near = tuple[float, ...]
 """16 coefficients c_k: P'(r) = sum_k c_k r^k up to the reach, of what is zero beyond it."""
-
-_OPTIONS: dict[str, Any] = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
-_FAST: dict[str, Any] = {'fastmath': {'reassoc', 'contract', 'nsz'}}
-_kernel = njit(**_OPTIONS, **_FAST)
-_inlined = njit(**_OPTIONS, **_FAST, forceinline=True)
 
 
 class Cells(NamedTuple):
@@ -46,7 +42,7 @@ class Cells(NamedTuple):
     rows: int
 
 
-@_kernel
+@kernel
 def sort(x: Array, n: int, cells: Cells, order: Indices, start: Indices) -> bool:
     """Sort n sheep at x[2, :] by cell; return whether all are in the box.
 
@@ -70,7 +66,7 @@ def sort(x: Array, n: int, cells: Cells, order: Indices, start: Indices) -> bool
     return True
 
 
-@_kernel
+@kernel
 def put(values: Array, order: Indices, out: Array) -> None:
     """Put values[2, :n] in out[2, order]."""
     for c in range(2):
@@ -78,7 +74,7 @@ def put(values: Array, order: Indices, out: Array) -> None:
             out[c, order[i]] = values[c, i]
 
 
-@_kernel
+@kernel
 def take(values: Array, order: Indices, out: Array) -> None:
     """Put values[2, order] in out[2, :n]."""
     for c in range(2):
@@ -86,7 +82,7 @@ def take(values: Array, order: Indices, out: Array) -> None:
             out[c, i] = values[c, order[i]]
 
 
-@_inlined
+@inlined
 def _even_and_odd(r2: float, c: Near) -> tuple[float, float]:
     """Return e, o with e(r^2) + r o(r^2) = sum_k c_k r^k (Estrin's scheme)."""
     r4 = r2 * r2
@@ -97,7 +93,7 @@ def _even_and_odd(r2: float, c: Near) -> tuple[float, float]:
     return e, o
 
 
-@_inlined
+@inlined
 def _gradient_of_chunks(
     x: Array, y: Array, bx: Array, by: Array, xi: float, yi: float, begin: int, end: int,
     shift: int, reach2: float, near: Near,
@@ -123,7 +119,7 @@ def _gradient_of_chunks(
     return ax, ay
 
 
-@_inlined
+@inlined
 def _neighbours(
     xi: float, yi: float, row: int, reach: float, cells: Cells, start: Indices
 ) -> tuple[int, int, int]:
@@ -141,7 +137,7 @@ def _neighbours(
     return own_end, begin, end
 
 
-@_kernel
+@kernel
 def near_gradients(
     x: Array, y: Array, cells: Cells, start: Indices, rows: tuple[int, int], reach: float,
     near: Near, ax: Array, ay: Array,
@@ -165,7 +161,7 @@ def near_gradients(
             ay[i - shift] += fy + gy
 
 
-@_inlined
+@inlined
 def _hessians_of_chunks(
     x: Array, y: Array, mu_x: Array, mu_y: Array, bx: Array, by: Array, i: int, begin: int,
     end: int, shift: int, reach2: float, near: Near,
@@ -195,7 +191,7 @@ def _hessians_of_chunks(
     return hx, hy
 
 
-@_inlined
+@inlined
 def _near_hessian(r2: float, near: Near) -> tuple[float, float]:
     """Return a, b with a w + b (s.w) s = Hessian times w, as `kernels.hessian` does."""
     slope, curvature = 0.0, 0.0
@@ -207,7 +203,7 @@ def _near_hessian(r2: float, near: Near) -> tuple[float, float]:
     return a, (curvature - a) / r2
 
 
-@_kernel
+@kernel
 def near_hessians(
     x: Array, y: Array, mu_x: Array, mu_y: Array, cells: Cells, start: Indices,
     rows: tuple[int, int], reach: float, near: Near, hx: Array, hy: Array,

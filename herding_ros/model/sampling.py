@@ -22,9 +22,10 @@ import numpy as np
 
 from . import kernels
 from .crowd import Crowd
-from .dynamics import physics, rollout, to_lanes
+from .dynamics import follow, physics, positions, to_lanes
 from .ensemble import paths_in_field
 from .kernels import PATHS
+from .motion import Holonomic, MotionModel
 from .noise import increments, is_uniform, noise_paths
 from .state import Array, HerdState
 
@@ -58,6 +59,7 @@ class FineModel:
     steps: int
     substeps: int = 1
     t: float = 0.0
+    motion: MotionModel = Holonomic()
 
     @property
     def sheep(self) -> int:
@@ -82,9 +84,8 @@ class FineModel:
         return self.steps // len(noise)
 
     def dogs(self, u: Array) -> Array:
-        """Return the path of the dogs, (K+1, 2, M) [m]."""
-        moves = self.dt * np.repeat(u, self.substeps, axis=0).transpose(0, 2, 1)
-        return np.add.accumulate(np.concatenate((self.state.d.T[None], moves)))
+        """Return the states of the dogs under u, (K+1, S, M)."""
+        return self.motion.rollout(self.state.d, u, self.dt, self.substeps)
 
 
 @dataclass(frozen=True)
@@ -113,19 +114,15 @@ class Resolution:
         group = self.group or fine.sheep
         constants = physics(fine.crowd, group, self.longer * fine.dt)
         x, v = (np.ascontiguousarray(each.T) for each in (fine.state.x, fine.state.v))
-        dogs = np.ascontiguousarray(fine.dogs(u)[:: self.longer])
-
-        def speeds(noise: Array) -> Array:
-            each_step = np.repeat(u, fine.substeps, axis=0)
-            return each_step.reshape(len(noise), self.longer, *u.shape[1:]).mean(axis=1)
+        states = fine.dogs(u)[:: self.longer]
+        dogs = positions(states)
 
         def side_by_side(noise: Array) -> Array:
             out = np.empty((len(noise) + 1, 2, fine.at_once))
             if is_uniform(fine.crowd.noise_field):
                 kernels.centres(x, v, dogs, noise, constants, out)
             else:
-                start = (fine.crowd, fine.t, x, v, dogs[0])
-                xs = paths_in_field(*start, speeds(noise), 1, noise, constants)
+                xs = paths_in_field(fine.crowd, fine.t, x, v, dogs, noise, constants)
                 for k, here in enumerate(xs):
                     out[k] = here.reshape(2, fine.sheep, -1).mean(axis=1)
             return out
@@ -136,8 +133,8 @@ class Resolution:
                 some = slice(first, first + group)
                 herd = HerdState(fine.state.x[some], fine.state.v[some], fine.state.d)
                 drawn = np.stack([to_lanes(each.T) for each in noise[:, :, some]])
-                track = rollout(fine.crowd, herd, speeds(noise), constants.dt, 1, drawn, fine.t)
-                total += track.x.sum(axis=1)
+                path = follow(fine.crowd, herd, states, constants.dt, drawn, fine.t)
+                total += path.x.sum(axis=1)
             return total[:, :, None] / fine.sheep
 
         return one_by_one if fine.at_once == 1 and group > 1 else side_by_side
@@ -169,8 +166,8 @@ def free(fine: FineModel, u: Array) -> Sampler:
 
     def sample(noise: Array) -> Array:
         out = np.empty((len(noise) + 1, 2, fine.at_once))
-        dt = fine.longer(noise) * fine.dt
-        kernels.free_centres(noise, fine.sheep, dt, fine.crowd.friction, out)
+        constants = physics(fine.crowd, fine.sheep, fine.longer(noise) * fine.dt)
+        kernels.free_centres(noise, fine.sheep, constants, out)
         return out
 
     return sample
@@ -180,12 +177,12 @@ def linear(fine: FineModel, u: Array) -> Sampler:
     """Return the centre's first-order answer to noise: the path without noise, linearised."""
     if fine.at_once != PATHS:
         raise ValueError(f'linear paths of {fine.sheep} sheep, allowed are at most {_LARGE}')
-    path = rollout(fine.crowd, fine.state, u, fine.dt, fine.substeps)
+    path = follow(fine.crowd, fine.state, fine.dogs(u), fine.dt)
 
     def sample(noise: Array) -> Array:
         longer = fine.longer(noise)
         constants = physics(fine.crowd, fine.sheep, longer * fine.dt)
-        xs, ds = (np.ascontiguousarray(each[::longer]) for each in (path.xs, path.ds))
+        xs, ds = np.ascontiguousarray(path.xs[::longer]), positions(path.ds[::longer])
         out = np.empty((len(noise) + 1, 2, PATHS))
         kernels.linear_centres(xs, ds, noise, constants, out)
         return out

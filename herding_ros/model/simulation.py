@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .admissible import project
 from .crowd import Crowd
 from .dynamics import rollout
 from .flock import arrived, spread
+from .motion import Holonomic, MotionModel
 from .noise import increments
 from .parameters import Parameters, quantity, TINY
 from .scenario import DOG_RADIUS, initial_herd
@@ -32,6 +32,7 @@ class World(Parameters):
         0.005, 'standard deviation of observed velocities', 'm/s', low=0.0
     )
     max_speed: float = quantity(5e-2, 'a dog runs no faster than this', 'm/s', low=TINY)
+    motion: MotionModel = Holonomic()
 
     @property
     def control_period(self) -> float:
@@ -69,7 +70,10 @@ class Simulation:
         self.goal = goal
         flock = np.random.default_rng(world.seed)
         attract = bool(crowd.dog.derivative(np.array([DOG_RADIUS])) > 0.0)
-        self.state = initial_herd(world.sheep, world.dogs, goal, flock, ahead=attract)
+        herd = initial_herd(world.sheep, world.dogs, goal, flock, ahead=attract)
+        facing = np.arctan2(-herd.d[:, 1], -herd.d[:, 0])  # the flock, from their places around it
+        dogs = world.motion.state(herd.d, facing, np.zeros_like(herd.d))
+        self.state = replace(herd, d=dogs)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
         self.periods = 0
         self.initial_spread = float(spread(single(self.state.x)))
@@ -91,10 +95,12 @@ class Simulation:
         Nobody runs faster than the speed limit, whatever is asked for.
         """
         world = self.world
-        u = project(u, world.max_speed)
+        u = world.motion.project(u, world.max_speed)
         noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)
         t = self.nanoseconds * 1e-9
-        trajectory = rollout(self.crowd, self.state, u[None], world.dt, world.substeps, noise, t)
+        trajectory = rollout(
+            self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
+        )
         self.state = trajectory.at(-1)
         self.dog_velocities = u
         self.periods += 1

@@ -16,20 +16,21 @@ def finite(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
     Raises
     ------
     ValueError
-        naming the array, what was given and what is allowed.
+        naming the array, what it must be and what was given.
 
     """
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f'{name} is no array of numbers: {error}') from error
-    wanted = tuple('any' if n is None else n for n in shape)
+        raise ValueError(f'{name} must be an array of numbers: {error}') from error
     if array.ndim != len(shape) or any(
         n is not None and n != m for n, m in zip(shape, array.shape, strict=True)
     ):
-        raise ValueError(f'{name} has shape {array.shape}, allowed is {wanted}')
+        wanted = ', '.join('any' if n is None else str(n) for n in shape)
+        wanted += ',' * (len(shape) == 1)
+        raise ValueError(f'{name} must have shape ({wanted}), got {array.shape}')
     if not np.isfinite(array).all():
-        raise ValueError(f'{name} holds NaN or infinite values; every value must be finite')
+        raise ValueError(f'{name} must be finite, got NaN or infinite values')
     return array
 
 
@@ -37,9 +38,9 @@ def finite(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
 class HerdState:
     """Where everyone is at an instant.
 
-    x: (N, 2) positions of the sheep [m]; v: (N, 2) their velocities [m/s];
-    d: (M, 2) positions of the dogs [m]; N, M >= 1. Dogs have no inertia: their velocity
-    is the control. Raises ValueError on wrong shapes and values that are not finite.
+    x: (N, 2) positions of the sheep [m]; v: (N, 2) their velocities [m/s]; d: (M, S) states of
+    the dogs, the position (x, y) [m] first, see `MotionModel`; N, M >= 1 and S >= 2. Raises
+    ValueError on wrong shapes and values that are not finite.
     """
 
     x: Array
@@ -50,12 +51,19 @@ class HerdState:
         """Validate, and convert to float64."""
         object.__setattr__(self, 'x', finite('sheep positions x', self.x, (None, 2)))
         object.__setattr__(self, 'v', finite('sheep velocities v', self.v, self.x.shape))
-        object.__setattr__(self, 'd', finite('dog positions d', self.d, (None, 2)))
+        object.__setattr__(self, 'd', finite('dogs d', self.d, (None, None)))
+        if self.d.shape[1] < 2:
+            raise ValueError(f'dogs d must have shape (M, 2) or wider, got {self.d.shape}')
         if not len(self.x) or not len(self.d):
             raise ValueError(
-                f'a herd needs at least one sheep and one dog, given {len(self.x)} sheep '
+                f'a herd must have at least one sheep and one dog, got {len(self.x)} sheep '
                 f'and {len(self.d)} dogs'
             )
+
+    @property
+    def dogs(self) -> Array:
+        """Positions of the dogs, (M, 2) [m]."""
+        return self.d[:, :2]
 
 
 @dataclass(frozen=True)
@@ -63,8 +71,8 @@ class Trajectory:
     """The herd along a rollout of K steps of length dt [s].
 
     Stored as the kernels want it, coordinates first and sheep padded to whole vectors:
-    xs (K+1, 2, lanes) [m], vs (K+1, 2, lanes) [m/s], ds (K+1, 2, M) [m]; n sheep are real.
-    Read it through x, v and d, which are views.
+    xs (K+1, 2, lanes) [m], vs (K+1, 2, lanes) [m/s], ds (K+1, S, M) the states of the dogs,
+    the position first; n sheep are real. Read it through x, v and d, which are views.
     """
 
     dt: float
@@ -86,8 +94,8 @@ class Trajectory:
     @property
     def d(self) -> Array:
         """Positions of the dogs, (K+1, M, 2) [m]."""
-        return self.ds.transpose(0, 2, 1)
+        return self.ds[:, :2].transpose(0, 2, 1)
 
     def at(self, k: int) -> HerdState:
         """Return the state after k steps; -1 is the end."""
-        return HerdState(self.x[k], self.v[k], self.d[k])
+        return HerdState(self.x[k], self.v[k], self.ds[k].T)

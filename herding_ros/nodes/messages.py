@@ -35,7 +35,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from herding_ros.bag.point_cloud import points
 from herding_ros.control.plan import Plan
-from herding_ros.control.receding_horizon import SolveReport
 from herding_ros.model.state import Array
 
 from .refusals import Refused
@@ -383,28 +382,6 @@ def diagnostics(
 
 def _text(value: object) -> str:
     return f'{value:.6g}' if isinstance(value, float) else str(value)
-
-
-def report_values(report: SolveReport) -> dict[str, object]:
-    """Return what /diagnostics says about a solve."""
-    return {
-        'solve_ms': 1e3 * report.seconds['total'],
-        'status': report.status.value,
-        'objective': report.objective,
-        'gradient_norm': report.gradient_norm,
-        'optimiser_iterations': report.optimiser_iterations,
-        'optimiser_calls': report.optimiser_calls,
-        'fine_calls': report.fine_calls,
-        'paths': ' '.join(str(n) for n in report.paths),
-        'standard_error': report.standard_error,
-        'extraction_calls': report.extraction_calls,
-        'mapping_status': report.mapping_status.value,
-        'mapping_iterations': report.mapping_iterations,
-        'mapping_residuals': ' '.join(f'{r:.3g}' for r in report.mapping_residuals),
-        'mapping_error_before': report.mapping_error_before,
-        'mapping_error_after': report.mapping_error_after,
-        **{f'{phase}_ms': 1e3 * s for phase, s in report.seconds.items() if phase != 'total'},
-    }
 
 
 def markers(x: Array, d: Array, goal: Array, ns: int, frame: str) -> MarkerArray:

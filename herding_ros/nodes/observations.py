@@ -1,16 +1,16 @@
-"""What is known of the herd: the newest messages of sheep and dogs."""
+# SPDX-License-Identifier: Apache-2.0
+"""The newest messages of sheep and dogs, as observations of the herd."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from nav_msgs.msg import Odometry
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
+from herding_ros.control.pilot import is_set_back, Observed
 from herding_ros.model.state import Array, HerdState
 
 from . import messages
@@ -19,32 +19,28 @@ from .refusals import Refusals, Refused
 from .running import ADJUSTABLE
 
 
-@dataclass(frozen=True)
-class Observed:
-    """The sheep and the dogs in sight at ns, which is the stamp of the sheep.
-
-    ids: (N,) names of the sheep; dogs: indices of the dogs in the state, from 0.
-    """
-
-    ns: int
-    ids: NDArray[np.integer]
-    state: HerdState
-    dogs: tuple[int, ...]
-
-
 class Observations:
     """Holds the newest good message of the sheep and of each dog, and refuses all others."""
 
     def __init__(
-        self, node: Node, dogs: int, frame: str, most_sheep: int, timeout: float, refused: Refusals
+        self,
+        node: Node,
+        dogs: int,
+        frame: str,
+        most_sheep: int,
+        timeout: float,
+        control_period: float,
+        refused: Refusals,
     ) -> None:
-        """Listen. What is older than `timeout` [s], or as far ahead, is refused and not seen."""
+        """Subscribe. Stamps older than `timeout` [s], or as far in the future, are refused."""
         self.headings: Array = np.zeros(dogs)
         """Newest known headings of the dogs (M,) [rad]."""
         self._frame = frame
         self._most_sheep = most_sheep
         self._timeout = timeout
+        self._control_period = control_period
         self._refused = refused
+        self._now = 0
         self._flock: messages.Sheep | None = None
         self._places: dict[int, tuple[int, Array]] = {}
         self._sheep = Inbox(node, PointCloud2, 'sheep', 10, qos_overriding_options=ADJUSTABLE)
@@ -57,13 +53,12 @@ class Observations:
         """Yield whenever sheep come, and when the time is over."""
         return self._sheep.arrivals(seconds)
 
-    def forget(self) -> None:
-        """Know nothing."""
+    def _forget(self) -> None:
         self._flock = None
         self._places.clear()
 
-    def take(self, now: int | None = None) -> None:
-        """Take the messages that have come in; stamps are checked if it is `now` [ns]."""
+    def _take(self, now: int | None = None) -> None:
+        """Take the messages that have come in; stamps are checked if `now` [ns] is given."""
         for data, _ in self._sheep.take():
             try:
                 flock = messages.sheep_in(data, self._frame, self._most_sheep)
@@ -88,19 +83,24 @@ class Observations:
         if ns < last:
             raise Refused('overtaken', 'a newer one has come before it')
 
-    def answerable(self) -> Observed | None:
+    def complete(self) -> Observed | None:
         """Return the herd when all messages have the same stamp, and each stamp only once."""
+        self._take()
         stamps = {ns for ns, _ in self._places.values()}
         if self._flock is None or stamps != {self._flock.ns}:
             return None
         if len(self._places) < len(self._odometry):
             return None
         observed = self._observed(self._flock, tuple(range(len(self._odometry))))
-        self.forget()
+        self._forget()
         return observed
 
-    def in_sight(self, now: int) -> Observed | None:
-        """Return what has been seen lately; None without sheep or without any dog."""
+    def recent(self, now: int) -> Observed | None:
+        """Return what was observed recently at `now` [ns]; None without sheep or any dog."""
+        if is_set_back(now * 1e-9, self._now * 1e-9, self._control_period):
+            self._forget()
+        self._now = now
+        self._take(now)
         oldest = now - self._timeout * 1e9
         dogs = tuple(m for m, (ns, _) in sorted(self._places.items()) if ns >= oldest)
         if self._flock is None or self._flock.ns < oldest or not dogs:

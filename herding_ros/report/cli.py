@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The program `report`: a bag's picture, summary and table of topics."""
 
 from __future__ import annotations

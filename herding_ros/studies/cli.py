@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The program `study`: regenerates the paper's tables and figures, and ours."""
 
 from __future__ import annotations
@@ -13,36 +14,11 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from . import (
-    baselines,
-    common_noise,
-    dogs,
-    evacuation,
-    mean_field,
-    observation,
-    sampling,
-    stabilisation,
-    stochasticity,
-    symmetry,
-)
-from .reproduction import OF_THEIR_OWN, page, single
+from .reproduction import FURTHER, page, single, STUDIES
 from .runner import compute, Outcome
 from .store import Store
-from .study import Options, Results, Study
+from .study import Options, Results
 from .task import Task
-
-STUDIES: dict[str, Study] = {
-    'stochasticity': stochasticity,
-    'dogs': dogs,
-    'stabilisation': stabilisation,
-    'symmetry': symmetry,
-    'baselines': baselines,
-    'observation': observation,
-    'evacuation': evacuation,
-    'common_noise': common_noise,
-    'mean_field': mean_field,
-    'sampling': sampling,
-}
 
 _DONE, _FAILED, _BAD_ARGUMENTS, _INTERRUPTED = 0, 1, 2, 130
 _LINE_EVERY = 10.0
@@ -208,7 +184,7 @@ def _write(
     if missing:
         console.print(f'{missing} results are missing from what is drawn', style='red')
     if name == 'all':
-        pages = {each: single(each, sections[each]) for each in OF_THEIR_OWN}
+        pages = {each: single(each, sections[each]) for each in FURTHER}
         pages['reproduction'] = page(sections)
     else:
         pages = {name: single(name, sections[name])}

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Computes tasks: in this process, in several on this machine, or on a Dask cluster."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results on disk, one JSON file for each task."""
 
 from __future__ import annotations

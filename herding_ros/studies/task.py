@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A task: one computation with its parameters, and the key under which its result is kept."""
 
 from __future__ import annotations

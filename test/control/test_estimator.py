@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -11,7 +12,7 @@ import pytest
 from scipy.linalg import block_diag, solve_discrete_are
 
 from herding_ros.control.closed_loop import closed_loop, play
-from herding_ros.control.estimator import Estimator
+from herding_ros.control.estimator import StateEstimator
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd, CROWDS
@@ -32,8 +33,13 @@ APART = Crowd(sheep=NO_FORCE, dog=NO_FORCE)
 SLIP = 0.01
 
 
-def estimator(crowd: Crowd = FLOCK, sensor: Sensor = NOISY) -> Estimator:
-    return Estimator(crowd, sensor, PERIOD, SUBSTEPS)
+def statistics(*values: Any) -> Any:
+    """Mark a case that only a full run of the tests includes."""
+    return pytest.param(*values, marks=pytest.mark.statistics)
+
+
+def estimator(crowd: Crowd = FLOCK, sensor: Sensor = NOISY) -> StateEstimator:
+    return StateEstimator(crowd, sensor, PERIOD, SUBSTEPS)
 
 
 def blurred(state: HerdState, rng: np.random.Generator, noise: float = 0.05) -> HerdState:
@@ -182,20 +188,24 @@ def steady(crowd: Crowd, sensor: Sensor) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize(
-    'crowd', [APART, replace(APART, noise=0.04), replace(APART, friction=0.0)]
+    ('crowd', 'sensor'),
+    [
+        (APART, NOISY),
+        (replace(APART, noise=0.04), Sensor(0.01, 0.0)),
+        (replace(APART, friction=0.0), NOISY),
+    ],
 )
-@pytest.mark.parametrize('sensor', [NOISY, Sensor(0.05, 0.01), Sensor(0.01, 0.0)])
 def test_gain_becomes_that_of_the_riccati_equation(crowd: Crowd, sensor: Sensor) -> None:
     """Seen from outside: what a single deviating observation changes, long after the start."""
     still = HerdState(np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 2)))
     ids, u, gain = np.arange(1), np.zeros((1, 2)), steady(crowd, sensor)[0]
     settled = estimator(crowd, sensor)
-    for k in range(1500):
+    for k in range(500):
         settled.update(k * PERIOD, ids, still, u)
     for column, (x, v) in enumerate([(1e-3, 0.0), (0.0, 1e-3)]):
         ours = copy.deepcopy(settled)
         other = HerdState(np.array([[x, 0.0]]), np.array([[v, 0.0]]), still.d)
-        believed = ours.update(150.0, ids, other, u)
+        believed = ours.update(500 * PERIOD, ids, other, u)
         np.testing.assert_allclose(
             [believed.x[0, 0], believed.v[0, 0]], 1e-3 * gain[:, column], rtol=1e-6, atol=1e-12
         )
@@ -349,11 +359,11 @@ def test_a_dog_becomes_known_as_well_as_the_riccati_equation_says() -> None:
 
 def test_a_dog_that_cannot_move_is_found_all_the_same() -> None:
     still = HerdState(np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 2)))
-    ours, rng, told = estimator(), np.random.default_rng(0), np.array([[0.05, 0.0]])
-    for k in range(1000):
-        believed = ours.update(k * PERIOD, np.arange(1), blurred(still, rng), told)
+    ours, rng, commanded = estimator(), np.random.default_rng(0), np.array([[0.05, 0.0]])
+    for k in range(400):
+        believed = ours.update(k * PERIOD, np.arange(1), blurred(still, rng), commanded)
         assert np.abs(believed.d - 1.0).max() < 0.25
-    assert k * PERIOD * told[0, 0] > 4.0  # where it would be
+    assert k * PERIOD * commanded[0, 0] > 1.9  # where it would be
 
 
 @pytest.mark.parametrize('jumps', [(30,), (30, 32), (30, 31, 32, 33)])
@@ -394,7 +404,7 @@ def test_a_first_observation_that_was_a_mistake_is_corrected_at_once() -> None:
     np.testing.assert_array_equal(ours.update(0.1, np.arange(2), still, u).x[1], still.x[1])
 
 
-def run_until(t: float) -> Estimator:
+def run_until(t: float) -> StateEstimator:
     ours = estimator()
     herd = HerdState(np.eye(2), np.zeros((2, 2)), np.ones((1, 2)))
     for k in range(round(t / PERIOD) + 1):
@@ -409,12 +419,12 @@ def run_until(t: float) -> Estimator:
 )  # fmt: skip
 def test_time_that_goes_back_or_leaps_is_a_new_start(later: float, anew: bool) -> None:
     seen = HerdState(np.eye(2) + 0.02, np.full((2, 2), 0.03), np.full((1, 2), 1.01))
-    told = np.zeros((1, 2))
+    commanded = np.zeros((1, 2))
     old, new = run_until(3.0), estimator()
-    one, other = (each.update(3.0 + later, np.arange(2), seen, told) for each in (old, new))
+    one, other = (each.update(3.0 + later, np.arange(2), seen, commanded) for each in (old, new))
     assert all((getattr(one, name) == getattr(other, name)).all() == anew for name in 'xvd')
     old.reset()
-    other = old.update(3.0 + later + 0.1, np.arange(2), seen, told)
+    other = old.update(3.0 + later + 0.1, np.arange(2), seen, commanded)
     np.testing.assert_array_equal(other.x, seen.x)
 
 
@@ -494,14 +504,16 @@ def test_the_filter_keeps_looking_where_the_model_has_no_noise() -> None:
     crowd, u, pull = replace(APART, noise=0.0), np.zeros((1, 2)), np.array([0.005, 0.0])
     ours, rng = estimator(crowd), np.random.default_rng(0)
     x, v, d = np.zeros((50, 2)), np.zeros((50, 2)), np.ones((1, 2))
-    for k in range(1000):
+    for k in range(400):
         believed = ours.update(k * PERIOD, np.arange(50), blurred(HerdState(x, v, d), rng), u)
         x, v = x + PERIOD * v, v + PERIOD * (pull - 0.5 * v)
-    assert x[0, 0] > 0.9
+    assert x[0, 0] > 0.35
     assert np.abs((believed.x - (x - PERIOD * v)).mean(axis=0)).max() < 0.05
 
 
-@pytest.mark.parametrize(('noise', 'better'), [(0.01, 2.5), (0.02, 3.0), (0.05, 3.5)])
+@pytest.mark.parametrize(
+    ('noise', 'better'), [statistics(0.01, 2.5), statistics(0.02, 3.0), (0.05, 3.5)]
+)
 def test_errors_in_a_flock_that_is_herded(
     noise: float, better: float, random_herd: Callable[..., HerdState]
 ) -> None:
@@ -545,7 +557,7 @@ def test_a_believed_flock_is_one_that_can_be() -> None:
     assert widths[2] > 1.2 * widths[0]
 
 
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', [0, *(statistics(seed) for seed in (1, 2))])
 def test_flock_comes_home_under_bad_sensors(seed: int) -> None:
     """About as soon as with exact ones; `study observation` has more, also without the filter."""
     exact = World(sheep=20, dogs=5, seed=seed, position_noise=0.0, velocity_noise=0.0)
@@ -560,13 +572,13 @@ def test_flock_comes_home_under_bad_sensors(seed: int) -> None:
 @pytest.mark.parametrize(
     ('changes', 'words'),
     [
-        ({'ids': np.arange(4)}, r'names of sheep have shape \(4,\), allowed is \(3,\)'),
-        ({'dogs': (0,)}, r'names of dogs have shape \(1,\), allowed is \(2,\)'),
-        ({'dogs': (0, 2)}, r'dogs are \[0, 2\], allowed is 0 to 1'),
-        ({'dogs': (-1, 0)}, r'dogs are \[-1, 0\], allowed is 0 to 1'),
-        ({'u': np.zeros((1, 2))}, r'names of dogs have shape \(1,\), allowed is \(2,\)'),
-        ({'u': np.zeros((2, 3))}, r'u has shape \(2, 3\), allowed is'),
-        ({'u': np.full((2, 2), np.nan)}, 'u holds NaN'),
+        ({'ids': np.arange(4)}, r'names of sheep: expected shape \(3,\), .* got \(4,\)'),
+        ({'dogs': (0,)}, r'names of dogs: expected shape \(2,\), .* got \(1,\)'),
+        ({'dogs': (0, 2)}, r'dogs must be rows of u, 0 to 1, got \[0, 2\]'),
+        ({'dogs': (-1, 0)}, r'dogs must be rows of u, 0 to 1, got \[-1, 0\]'),
+        ({'u': np.zeros((1, 2))}, r'names of dogs: expected shape \(2,\), .* got \(1,\)'),
+        ({'u': np.zeros((2, 3))}, r'u must have shape \(any, 2\), got'),
+        ({'u': np.full((2, 2), np.nan)}, 'u must be finite'),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(

@@ -5,8 +5,10 @@ import pytest
 
 from herding_ros.control.gauss_newton import gauss_newton
 from herding_ros.control.solution import Solution, Status
-from herding_ros.model.admissible import project
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array
+
+project = Holonomic().project
 
 SHAPE, SIZE, INTERVAL, LIMIT = (5, 3, 2), 30, 0.1, 0.05
 

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.ncg import ncg
 from herding_ros.control.objective import Objective
 from herding_ros.control.solution import Solution, Status
 from herding_ros.control.spg import spg
-from herding_ros.model.admissible import project
 from herding_ros.model.crowd import CROWDS
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array
+
+project = Holonomic().project
 
 Optimiser = Callable[..., Solution]
 

@@ -4,7 +4,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping, Optimiser, PAPER
@@ -14,13 +14,15 @@ from herding_ros.control.reference import reference
 from herding_ros.control.solution import Status
 from herding_ros.control.space_mapping import aggressive
 from herding_ros.control.spg import spg
-from herding_ros.model.admissible import project
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
+
+project = Holonomic().project
 
 GOAL = np.array([0.5, 0.5])
 # L2 error of the deterministic control with 100 Monte Carlo samples, by sigma (paper, Table 1).

@@ -6,8 +6,10 @@ import pytest
 
 from herding_ros.control.solution import Status
 from herding_ros.control.space_mapping import aggressive, Broyden, MappingResult, output
-from herding_ros.model.admissible import project
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array
+
+project = Holonomic().project
 
 SHAPE = (3, 1, 2)
 SIZE = 6

@@ -312,7 +312,7 @@ def test_printed_crowd_explodes_and_cohesive_one_does_not() -> None:
 
 @pytest.mark.parametrize('dt', [0.0, -0.01, math.nan, math.inf])
 def test_bad_time_step_is_refused(random_herd: HerdMaker, dt: float) -> None:
-    with pytest.raises(ValueError, match='time step dt'):
+    with pytest.raises(ValueError, match='time step dt must be'):
         rollout(QUIET, random_herd(2, 1), np.zeros((1, 1, 2)), dt)
 
 
@@ -323,5 +323,5 @@ def test_bad_control_is_refused(random_herd: HerdMaker, u: Array) -> None:
 
 
 def test_noise_of_the_wrong_length_is_refused(random_herd: HerdMaker) -> None:
-    with pytest.raises(ValueError, match='noise has shape'):
+    with pytest.raises(ValueError, match='noise must have shape'):
         rollout(QUIET, random_herd(2, 1), np.zeros((4, 1, 2)), 0.01, 2, np.zeros((4, 2, 8)))

@@ -7,7 +7,8 @@ import pytest
 from herding_ros.model import fast_forces, kernels
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import forces, reverse_sweep, rollout, to_lanes
-from herding_ros.model.fast_forces import CROSSOVER, DirectSum, plan, plans
+from herding_ros.model.fast_forces import CROSSOVER, DirectSum, prepare, summation
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.noise import increments
 from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.particle_mesh import ParticleMesh
@@ -54,7 +55,7 @@ def error(sums: ParticleMesh | DirectSum, potential: Potential, x: Array) -> flo
 @pytest.mark.parametrize('name', FLOCKS)
 def test_plan_keeps_its_accuracy(name: str, accuracy: float) -> None:
     x = FLOCKS[name]
-    sums = plan(COHESIVE, to_lanes(x), len(x), accuracy)
+    sums = prepare(COHESIVE, to_lanes(x), len(x), accuracy)
     assert error(sums, COHESIVE, x) <= accuracy
     if name == 'square':
         assert isinstance(sums, ParticleMesh)
@@ -62,13 +63,13 @@ def test_plan_keeps_its_accuracy(name: str, accuracy: float) -> None:
 
 @pytest.mark.parametrize('potential', [CROWDS['printed'].sheep, PowerLaw(), TABLE])
 def test_plan_keeps_its_accuracy_for_any_potential(potential: Potential) -> None:
-    sums = plan(potential, to_lanes(SQUARE), MANY)
+    sums = prepare(potential, to_lanes(SQUARE), MANY)
     assert isinstance(sums, ParticleMesh)
     assert error(sums, potential, SQUARE) <= fast_forces.ACCURACY
 
 
 def test_more_accuracy_takes_a_finer_mesh() -> None:
-    coarse, fine = (plan(COHESIVE, to_lanes(SQUARE), MANY, a) for a in (1e-3, 1e-6))
+    coarse, fine = (prepare(COHESIVE, to_lanes(SQUARE), MANY, a) for a in (1e-3, 1e-6))
     assert isinstance(coarse, ParticleMesh)
     assert isinstance(fine, ParticleMesh)
     assert error(fine, COHESIVE, SQUARE) < 0.1 * error(coarse, COHESIVE, SQUARE)
@@ -76,7 +77,7 @@ def test_more_accuracy_takes_a_finer_mesh() -> None:
 
 def test_memory_is_bounded_however_far_sheep_are() -> None:
     x = np.concatenate([SQUARE, [[1e6, 1e6]]])
-    sums = plan(COHESIVE, to_lanes(x), len(x))
+    sums = prepare(COHESIVE, to_lanes(x), len(x))
     if isinstance(sums, ParticleMesh):
         assert np.prod(sums.padded) <= 5000**2
     assert error(sums, COHESIVE, x) <= fast_forces.ACCURACY
@@ -85,17 +86,18 @@ def test_memory_is_bounded_however_far_sheep_are() -> None:
 @pytest.mark.parametrize('place', [0.3, np.nan, np.inf])
 def test_flock_in_one_place_or_lost_is_summed_directly(place: float) -> None:
     x = np.full((MANY, 2), place)
-    assert isinstance(plan(COHESIVE, to_lanes(x), MANY), DirectSum)
+    assert isinstance(prepare(COHESIVE, to_lanes(x), MANY), DirectSum)
 
 
 def test_plans_of_a_rollout_need_only_the_past() -> None:
     xs = np.stack([to_lanes(SQUARE * (1.0 + 0.01 * k)) for k in range(40)])
-    now = list(plans(COHESIVE, xs, MANY, map))
+    now = [each(k, x) for each in [summation(COHESIVE, MANY)] for k, x in enumerate(xs)]
     assert all(sums.holds(x) for sums, x in zip(now, xs, strict=True))
     assert now[0] is now[1]  # not a new one at every step
     assert now[0] is not now[10]  # the flock has left the box
-    first = plans(COHESIVE, xs[:20], MANY, map)
-    for sums, other in zip(now, first, strict=False):
+    again = summation(COHESIVE, MANY)
+    for k, sums in enumerate(now[:20]):
+        other = again(k, xs[k])
         assert (sums.reach, sums.spacing) == (other.reach, other.spacing)  # type: ignore[union-attr]
 
 
@@ -109,7 +111,7 @@ def test_forces_below_the_crossover_are_the_direct_sum_to_the_bit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     state = herd(CROSSOVER - 1)
-    monkeypatch.setattr(fast_forces, 'plan', None)
+    monkeypatch.setattr(fast_forces, 'prepare', None)
     few = forces(Crowd(), state.x, state.d)
     monkeypatch.setattr(fast_forces, 'CROSSOVER', 10**9)
     np.testing.assert_array_equal(few, forces(Crowd(), state.x, state.d))
@@ -167,7 +169,8 @@ def test_reverse_sweep_passes_the_taylor_test(name: str) -> None:
     trajectory = rollout(crowd, state, u, 0.05, substeps)
     source = np.zeros_like(trajectory.xs)
     source[:, :, :CROSSOVER] = (weights * (trajectory.x - 0.3)).transpose(0, 2, 1)
-    gradient = reverse_sweep(crowd, trajectory, source, substeps)
+    path = reverse_sweep(crowd, trajectory, source)
+    gradient = Holonomic().transpose(trajectory.ds, u, path, 0.05, substeps)
     here, slope = cost(crowd, state, u, weights, substeps), float((gradient * du).sum())
     steps = 0.5 ** np.arange(6, 10)
     rest = [
@@ -182,9 +185,9 @@ def test_reverse_sweep_agrees_with_the_direct_one(monkeypatch: pytest.MonkeyPatc
     trajectory = rollout(crowd, state, u, 0.02, 5)
     source = np.zeros_like(trajectory.xs)
     source[1:, :, :CROSSOVER] = rng.normal(size=(15, 2, CROSSOVER))
-    fast = reverse_sweep(crowd, trajectory, source, 5)
+    fast = reverse_sweep(crowd, trajectory, source)
     monkeypatch.setattr(fast_forces, 'CROSSOVER', 10**9)
-    direct = reverse_sweep(crowd, trajectory, source, 5)
+    direct = reverse_sweep(crowd, trajectory, source)
     assert np.linalg.norm(fast - direct) < 1e-5 * np.linalg.norm(direct)
     assert (fast != direct).any()
 
@@ -219,5 +222,5 @@ def test_direct_sum_is_the_sum() -> None:
 def test_pool_or_map_makes_no_difference() -> None:
     x = to_lanes(SQUARE)
     with ThreadPoolExecutor(2) as pool:
-        one, two = plan(COHESIVE, x, MANY), plan(COHESIVE, x, MANY, run=pool.map)
+        one, two = prepare(COHESIVE, x, MANY), prepare(COHESIVE, x, MANY, run=pool.map)
         np.testing.assert_array_equal(one.gradients(x), two.gradients(x))

@@ -8,15 +8,13 @@ from herding_ros.model.dynamics import rollout
 from herding_ros.model.state import finite, HerdState
 
 X, V, D = np.ones((3, 2)), np.zeros((3, 2)), np.full((2, 2), 5.0)
-NAMES = {'x': 'sheep positions x', 'v': 'sheep velocities v', 'd': 'dog positions d'}
+NAMES = {'x': 'sheep positions x', 'v': 'sheep velocities v', 'd': 'dogs d'}
 
 
 @pytest.mark.parametrize('field', NAMES)
-@pytest.mark.parametrize(
-    'bad', [np.ones(2), np.ones((3, 3)), np.ones((3, 2, 1)), np.ones((2, 3)), 1.0, None]
-)
+@pytest.mark.parametrize('bad', [np.ones(2), np.ones((3, 1)), np.ones((3, 2, 1)), 1.0, None])
 def test_wrong_shapes_are_named(field: str, bad: object) -> None:
-    with pytest.raises(ValueError, match=f'^{NAMES[field]} has shape .*, allowed is '):
+    with pytest.raises(ValueError, match=f'^{NAMES[field]} must have shape .*, got '):
         HerdState(**{'x': X, 'v': V, 'd': D, field: bad})
 
 
@@ -26,7 +24,7 @@ def test_values_that_are_not_finite_are_named(field: str, bad: float) -> None:
     values = {'x': X, 'v': V, 'd': D}
     spoilt = values[field].copy()
     spoilt[1, 1] = bad
-    with pytest.raises(ValueError, match=f'^{NAMES[field]} .*must be finite'):
+    with pytest.raises(ValueError, match=f'^{NAMES[field]} must be finite'):
         HerdState(**{**values, field: spoilt})
 
 
@@ -38,13 +36,13 @@ def test_what_is_no_array_of_numbers_is_named(field: str, bad: object) -> None:
 
 
 def test_velocities_go_with_positions() -> None:
-    with pytest.raises(ValueError, match=r'velocities v has shape \(4, 2\), allowed is \(3, 2\)'):
+    with pytest.raises(ValueError, match=r'velocities v must have shape \(3, 2\), got \(4, 2\)'):
         HerdState(X, np.zeros((4, 2)), D)
 
 
 @pytest.mark.parametrize(('n', 'm'), [(0, 1), (1, 0)])
 def test_herds_are_not_empty(n: int, m: int) -> None:
-    with pytest.raises(ValueError, match=f'given {n} sheep and {m} dogs'):
+    with pytest.raises(ValueError, match=f'got {n} sheep and {m} dogs'):
         HerdState(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((m, 2)))
 
 
@@ -58,7 +56,7 @@ def test_state_is_a_copy_in_double_precision() -> None:
 
 def test_finite_takes_any_length_where_none_is_asked() -> None:
     assert finite('a', np.zeros((4, 2)), (None, 2)).shape == (4, 2)
-    with pytest.raises(ValueError, match=r"a has shape \(4, 2\), allowed is \(3, 'any'\)"):
+    with pytest.raises(ValueError, match=r'a must have shape \(3, any\), got \(4, 2\)'):
         finite('a', np.zeros((4, 2)), (3, None))
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture, the summary and the program that makes them of a bag."""
 
 from __future__ import annotations

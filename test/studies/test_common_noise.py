@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
 from dataclasses import replace
@@ -21,7 +22,7 @@ from herding_ros.studies.runs import PLAIN
 from herding_ros.studies.study import Options, Results
 
 SHORT = Horizon(length=8.0, accepted=4.0)
-CONTROL = replace(PAPER, horizon=SHORT, mapping=Mapping(paths=20, max_iterations=2, accuracy=1e-9))
+CONTROL = replace(PAPER, horizon=SHORT, mapping=Mapping(paths=20, max_iterations=2, tolerance=0.0))
 HERD = {'sheep': 9, 'dogs': 2, 'sigma': 0.03, 'seed': 1}
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
 from typing import Any
@@ -5,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from herding_ros.control.closed_loop import Run
+from herding_ros.control.closed_loop import ClosedLoopRun
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.herding import measures, paths
 
@@ -49,7 +50,7 @@ def test_measures_of_a_run_that_is_known() -> None:
     turn = np.stack([0.2 * t, -0.1 * t], axis=1)
     d = middle[:, None] + np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     u = np.full((steps, 2, 2), [speed, 0.0])
-    found = measures(Run(t, x, d, u, 50), np.array([0.0, 0.0]), period)
+    found = measures(ClosedLoopRun(t, x, d, u, 50), np.array([0.0, 0.0]), period)
     assert found['arrived']
     assert found['time'] == 5.0
     assert found['initial_spread'] == pytest.approx(0.3)
@@ -61,7 +62,7 @@ def test_measures_of_a_run_that_is_known() -> None:
     assert found['from_home']['turning_speed'] == pytest.approx(0.15)
     assert found['from_home']['max_distance'] == pytest.approx(0.95)
     assert found['from_home']['dog_distance'] == pytest.approx(1.0)
-    stored = paths(Run(t, x, d, u, 50), np.array([0.0, 0.0]), 30)
+    stored = paths(ClosedLoopRun(t, x, d, u, 50), np.array([0.0, 0.0]), 30)
     assert stored['t'] == [0.0, 3.0, 6.0, 9.0, 10.0]
     np.testing.assert_allclose(stored['centre'], middle[[0, 30, 60, 90, 100]], atol=5e-5)
 

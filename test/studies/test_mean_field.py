@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
 import numpy as np
@@ -17,7 +18,7 @@ from herding_ros.studies.task import Task
 HERD = {'dogs': 5, 'seed': 3}
 SMALL = {
     'horizon': {'length': 10.0, 'accepted': 5.0},
-    'mapping': {'paths': 96, 'max_iterations': 2, 'accuracy': 1e-5},
+    'mapping': {'paths': 96, 'max_iterations': 2, 'tolerance': 1e-5},
     'coarse': {'markers': 32},
 }
 

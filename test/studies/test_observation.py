@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
 import json
@@ -8,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from herding_ros.control.closed_loop import closed_loop, Planner
+from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
+from herding_ros.control.pilot import LockstepPilot
+from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.studies import observation
@@ -68,7 +71,7 @@ def test_errors_are_those_of_what_is_seen_and_of_what_is_believed() -> None:
 
 def test_errors_are_measured_against_the_state_at_that_instant() -> None:
     simulation = Simulation(Crowd(), World(sheep=4, dogs=2, seed=3), GOAL)
-    watched = Watched(Planner(Crowd(), SMALL, GOAL, 0), simulation)
+    watched = Watched(LockstepPilot(RecedingHorizon(Crowd(), SMALL, GOAL), 2), simulation)
     assert set(watched.errors()['seen'].values()) == {0.0}
     squares = []
     for k in range(3):

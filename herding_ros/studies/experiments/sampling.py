@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an expected centre costs, by every estimator that we know."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The heuristic of Strömbom et al. (2014): collect strays, else drive from behind.
 
 D. Strömbom, R. P. Mann, A. M. Wilson, S. Hailes, A. J. Morton, D. J. T. Sumpter, A. J. King,

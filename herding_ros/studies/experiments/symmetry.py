@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Symmetric herds without friction and noise, whose centre should stay (paper, 6.3)."""
 
 from __future__ import annotations

@@ -104,8 +104,8 @@ def test_tabulated_reproduces_the_potential_it_samples() -> None:
     [
         (lambda: Tabulated((0.0, 1.0, 1.0), (1.0, 2.0, 3.0)), 'at least two increasing numbers'),
         (lambda: Tabulated((1.0,), (1.0,)), 'at least two increasing numbers'),
-        (lambda: Tabulated((0.0, 1.0), (1.0,)), r'Tabulated.values has shape (1,)'),
-        (lambda: Tabulated((0.0, np.nan), (1.0, 0.0)), 'Tabulated.distances holds NaN'),
+        (lambda: Tabulated((0.0, 1.0), (1.0,)), 'Tabulated.values must have shape (2,), got (1,)'),
+        (lambda: Tabulated((0.0, np.nan), (1.0, 0.0)), 'Tabulated.distances must be finite'),
         (lambda: PowerLaw(length=0.0), 'PowerLaw.length is 0.0, allowed is'),
         (lambda: Crowd(sheep=3), 'Crowd.sheep is 3, allowed is a Potential'),  # type: ignore
     ],

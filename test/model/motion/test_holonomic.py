@@ -3,8 +3,10 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from herding_ros.model.admissible import project
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array
+
+project = Holonomic().project
 
 LIMIT = 0.05
 seeds = st.integers(0, 2**32)
@@ -54,3 +56,26 @@ def test_projection_keeps_the_direction() -> None:
 def test_any_number_of_axes_will_do(shape: tuple[int, ...]) -> None:
     found = project(np.full(shape, 8.0), 1.0)
     np.testing.assert_allclose(found, np.full(shape, np.sqrt(0.5)), rtol=1e-15)
+
+
+def test_dogs_are_where_their_commands_have_led_them() -> None:
+    rng = np.random.default_rng(0)
+    d, u = rng.normal(size=(3, 2)), rng.normal(size=(4, 3, 2))
+    found = Holonomic().rollout(d, u, 0.1, 5)
+    expected = d + 0.1 * np.cumsum(np.repeat(u, 5, axis=0), axis=0)
+    np.testing.assert_array_equal(found[0], d.T)
+    np.testing.assert_allclose(found[1:].transpose(0, 2, 1), expected, rtol=0, atol=1e-14)
+
+
+def test_transpose_is_that_of_the_rollout_for_each_function() -> None:
+    """The rollout is affine: differences are derivatives, to rounding."""
+    motion, rng = Holonomic(), np.random.default_rng(0)
+    d, u, w = rng.normal(size=(3, 2)), rng.normal(size=(4, 3, 2)), rng.normal(size=(4, 3, 2))
+    ds = motion.rollout(d, u, 0.1, 5)
+    source = rng.normal(size=(21, 2, 3, 2))
+    change = motion.rollout(d, u + w, 0.1, 5) - ds
+    expected = 0.1 * np.einsum('kcmf,kcm->f', source, change)
+    found = motion.transpose(ds, u, source, 0.1, 5)
+    np.testing.assert_allclose(np.einsum('imcf,imc->f', found, w), expected, rtol=1e-12)
+    one = motion.transpose(ds, u, source[..., 0], 0.1, 5)
+    np.testing.assert_array_equal(one, found[..., 0])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One piece of work in the background, with a deadline."""
 
 from __future__ import annotations
@@ -6,23 +7,31 @@ from collections.abc import Callable
 import threading
 from typing import Generic, TypeVar
 
-from herding_ros.control.solution import NoTimeFor
+from .solution import NoTimeFor
 
 _T = TypeVar('_T')
 
+Run = Callable[[Callable[[], None]], None]
+"""Starts a function that goes on by itself."""
+
 _FADING = 0.8
-"""By how much less a step counts once others of its kind were seen in a later work."""
+"""Factor on the duration of a step once shorter ones of its kind were seen in a later work."""
 
 _DOUBT = 0.98
-"""The same if none was: one that was held up once shall not be left out for good."""
+"""The same if none was: a step that was held up once must not be left out for good."""
+
+
+def run_in_thread(function: Callable[[], None]) -> None:
+    """Run the function in a thread, which does not keep the process from ending."""
+    threading.Thread(target=function, name='planner', daemon=True).start()
 
 
 class StepTimes:
-    """How long steps of each kind take at most [s], as seen of late; what was not seen is a guess.
+    """The longest recent duration of each kind of step [s]; a guess before the first.
 
-    A plan that is made in time says little about the next one, whose dearest steps it may not have
-    needed: so this is carried from work to work. None counts for more than `most` [s], however
-    long a process was stopped.
+    A plan that was made in time may not have needed its most expensive kind of step, so
+    durations are carried from work to work. None counts for more than `most` [s], however long
+    the process was stopped.
     """
 
     def __init__(self, guess: float, most: float) -> None:
@@ -31,30 +40,30 @@ class StepTimes:
         self._seen: dict[str, float] = {}  # in the present work
 
     def begin(self) -> None:
-        """Begin another work: let a step that was held up once be forgotten in time."""
+        """Begin another work, in which earlier durations count for less."""
         for step in {*self._before, *self._seen}:
             fading = _FADING if step in self._seen else _DOUBT
             before = fading * self._before.get(step, 0.0)
             self._before[step] = max(self._seen.get(step, 0.0), before)
         self._seen = {}
 
-    def saw(self, step: str, seconds: float) -> None:
-        """Take note of a step."""
+    def record(self, step: str, seconds: float) -> None:
+        """Record the duration of a step."""
         self._seen[step] = max(self._seen.get(step, 0.0), min(seconds, self._most))
 
     def expected(self, step: str) -> float:
         """Return the time that a step of this kind may take [s]."""
-        known = [times[step] for times in (self._before, self._seen) if step in times]
-        return max(known, default=self._guess)
+        recorded = [times[step] for times in (self._before, self._seen) if step in times]
+        return max(recorded, default=self._guess)
 
 
 class Work(Generic[_T]):
-    """Runs work(no_time_for) in a thread, for something that begins at `start` [s].
+    """Runs work(no_time_for) in the background; its result is needed at `start` [s].
 
-    `now` tells the time [s]. no_time_for(step) says True, and the work shall return the best that
-    it has, once it is dropped or when a step of this kind might end later than `spare` [s] before
-    the start. There is always time for the first step, or nobody would see how long it takes. The
-    thread does not keep the process from ending.
+    `now` returns the time [s]. no_time_for(step) is True, and the work must return its best
+    result so far, once the work is dropped or when a step of this kind might end later than
+    `spare` [s] before the start. There is always time for the first step, whose duration would
+    otherwise never be measured.
     """
 
     def __init__(
@@ -64,6 +73,7 @@ class Work(Generic[_T]):
         now: Callable[[], float],
         times: StepTimes,
         spare: float = 0.0,
+        run: Run = run_in_thread,
     ) -> None:
         self.start = start
         self.result: _T | None = None
@@ -77,22 +87,21 @@ class Work(Generic[_T]):
         self._begun = 0.0  # when it was
         self._dropped = threading.Event()
         self._ended: float | None = None
-        self._thread = threading.Thread(target=self._run, name='planner', daemon=True)
-        self._thread.start()
+        run(self._run)
 
     def drop(self) -> None:
-        """Ask it to end, nobody wants the result any more."""
+        """Ask it to end early; its result is not needed any more."""
         self._dropped.set()
 
     @property
     def dropped(self) -> bool:
-        """Whether nobody wants the result."""
+        """Whether the result is not needed any more."""
         return self._dropped.is_set()
 
     @property
     def done(self) -> bool:
         """Whether there is a result or an error."""
-        return not self._thread.is_alive()
+        return self._ended is not None
 
     @property
     def margin(self) -> float:
@@ -106,8 +115,9 @@ class Work(Generic[_T]):
             self.result = self._work(self._has_no_time_for)
         except Exception as error:
             self.error = error
-        self._ended = self._now()
-        self._end_step(self._ended)
+        ended = self._now()
+        self._end_step(ended)
+        self._ended = ended
 
     def _has_no_time_for(self, step: str) -> bool:
         now = self._now()
@@ -121,5 +131,5 @@ class Work(Generic[_T]):
 
     def _end_step(self, now: float) -> None:
         if self._step is not None:
-            self._times.saw(self._step, now - self._begun)
+            self._times.record(self._step, now - self._begun)
             self._step = None

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
 import math
@@ -5,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from herding_ros.studies.statistics import Fraction, Mean, Median, significant
+from herding_ros.report.statistics import Fraction, Mean, Median, significant
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from herding_ros.control.adjoint import CoarseModel
+from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Weights
 from herding_ros.model.crowd import Crowd, CROWDS
@@ -96,6 +96,46 @@ def test_taylor_remainder_is_of_second_order_for_the_mean_field_limit(
     assert_second_order((limit, objective, u))
 
 
+class Cart:
+    """Dogs (x, y, vx, vy) that a command accelerates, with drag: S = 4."""
+
+    def project(self, u: Array, max_speed: float) -> Array:
+        return u
+
+    def rollout(self, d: Array, u: Array, dt: float, substeps: int) -> Array:
+        ds = [d.T]
+        for command in np.repeat(u, substeps, axis=0):
+            x, v = ds[-1][:2], ds[-1][2:]
+            ds.append(np.concatenate([x + dt * v, v + dt * (command.T - v * np.abs(v))]))
+        return np.array(ds)
+
+    def transpose(self, ds: Array, u: Array, source: Array, dt: float, substeps: int) -> Array:
+        out = np.zeros((*u.shape, *source.shape[3:]))
+        nu = np.zeros(source.shape[1:])
+        for k in reversed(range(len(ds) - 1)):
+            nu = nu + dt * source[k + 1]
+            out[k // substeps] += dt * np.swapaxes(nu[2:], 0, 1)
+            drag = 2.0 * np.abs(ds[k, 2:]).reshape(2, -1, *[1] * (source.ndim - 3))
+            nu = np.concatenate([nu[:2], dt * nu[:2] + (1.0 - dt * drag) * nu[2:]])
+        return out
+
+    def state(self, position: Array, heading: Array, velocity: Array) -> Array:
+        return np.concatenate([position, velocity], axis=1)
+
+    def odometry(self, d: Array, u: Array) -> tuple[Array, Array, Array]:
+        return d[:, :2], np.zeros(len(d)), d[:, 2:]
+
+
+def test_dogs_may_move_in_other_ways(problem: Callable[..., Problem]) -> None:
+    coarse, objective, u = problem('cohesive', 9, 3, 5)
+    dogs = np.concatenate([coarse.state.d, np.full((3, 2), 0.1)], axis=1)
+    herd = dataclasses.replace(coarse.state, d=dogs)
+    cart = dataclasses.replace(coarse, state=herd, motion=Cart())
+    objective, u = dataclasses.replace(objective, leash=None), 10.0 * u
+    assert_second_order((cart, objective, u))
+    assert_sensitivity(cart, u, 7)
+
+
 @presets
 @pytest.mark.parametrize('n', range(1, 18))
 def test_every_component_agrees_with_central_differences(
@@ -157,6 +197,10 @@ def test_centre_sensitivity_is_the_derivative_of_the_centre(
     problem: Callable[..., Problem], preset: str, substeps: int, every: int
 ) -> None:
     coarse, _, u = problem(preset, 9, 2, substeps)
+    assert_sensitivity(coarse, u, every)
+
+
+def assert_sensitivity(coarse: CoarseModel, u: Array, every: int) -> None:
     du, h = np.random.default_rng(0).normal(0.0, 1.0, u.shape), 1e-5
     there, back = (coarse.rollout(u + step * du).x.mean(axis=1) for step in (h, -h))
     times = range(every, 41, every)

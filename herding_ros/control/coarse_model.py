@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The deterministic optimal control problem: value and gradient of its reduced cost."""
 
 from __future__ import annotations
@@ -11,23 +12,26 @@ from numpy.typing import NDArray
 
 from herding_ros.model import kernels
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.dynamics import physics, reverse_sweep, rollout
+from herding_ros.model.dynamics import physics, positions, reverse_sweep, rollout
+from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.state import Array, HerdState, Trajectory
 
-from .objective import Objective
+from .costs.cost import Cost, Derivatives
 
 
 @dataclass(frozen=True)
 class CoarseModel:
     """The crowd without noise over one window, from a given state.
 
-    dt [s] is the time step; a control is constant on intervals of `substeps` steps.
+    dt [s] is the time step; a control is constant on intervals of `substeps` steps. motion says
+    how the dogs move under it.
     """
 
     crowd: Crowd
     state: HerdState
     dt: float
     substeps: int = 1
+    motion: MotionModel = Holonomic()
 
     @property
     def interval(self) -> float:
@@ -36,23 +40,52 @@ class CoarseModel:
 
     def rollout(self, u: Array) -> Trajectory:
         """Return the trajectory under the control u (intervals, M, 2) [m/s]."""
-        return rollout(self.crowd, self.state, u, self.dt, self.substeps)
+        return rollout(self.crowd, self.state, u, self.dt, self.substeps, motion=self.motion)
+
+    def transpose(self, trajectory: Trajectory, u: Array, source: Array) -> Array:
+        """Return the derivative with respect to u of a function of the dogs' path.
+
+        source (K+1, 2 or S, M, ...) is its derivative with respect to their positions or states,
+        per unit of time; see `MotionModel.transpose`.
+        """
+        ds = trajectory.ds
+        if source.shape[1] < ds.shape[1]:
+            rest = (len(ds), ds.shape[1] - source.shape[1], *source.shape[2:])
+            source = np.concatenate([source, np.zeros(rest)], axis=1)
+        return self.motion.transpose(ds, u, source, self.dt, self.substeps)
 
     def inner(self, a: Array, b: Array) -> float:
         """L2(0, T) inner product of two controls."""
         return self.interval * float((a * b).sum())
 
-    def value_and_gradient(self, objective: Objective, u: Array) -> tuple[float, Array]:
-        """Return the reduced cost at u and its gradient in L2(0, T), same shape as u.
+    def dogs(self, u: Array) -> Array:
+        """Return the states of the dogs under u, (K+1, S, M); it takes no rollout of sheep."""
+        return self.motion.rollout(self.state.d, u, self.dt, self.substeps)
 
-        The gradient is exact for the discrete problem: gamma (u - u_ref) + nu, with nu from
-        the reverse sweep through the Euler scheme (nu is -xi_3 of the paper), and the gradient
-        of the dogs' own cost, which needs no sweep.
-        """
+    def value_and_gradient(self, cost: Cost, u: Array) -> tuple[float, Array]:
+        """Return the reduced cost at u and its gradient in L2(0, T), same shape as u."""
         trajectory = self.rollout(u)
-        value, source, direct = objective.value_and_derivatives(trajectory, u, self.interval)
-        gradient = reverse_sweep(self.crowd, trajectory, source, self.substeps)
-        return value, gradient / self.interval + direct
+        value, by = cost.value_and_derivatives(trajectory, u)
+        return value, self.gradient(trajectory, u, by)
+
+    def gradient(self, trajectory: Trajectory, u: Array, by: Derivatives) -> Array:
+        """Return the gradient in L2(0, T) of a cost with these partial derivatives.
+
+        It is exact for the discrete problem. The reverse sweep of the sheep turns the derivative
+        with respect to them into one with respect to the dogs, and the transpose of the dogs'
+        motion turns that, and the cost's own, into one with respect to u (-xi_3 of the paper).
+        """
+        source = None if by.d is None else by.d / self.dt
+        if by.x is not None:
+            from_sheep = reverse_sweep(self.crowd, trajectory, by.x)
+            if source is None:
+                source = from_sheep
+            else:
+                source[:, :2] += from_sheep
+        if source is None:
+            return np.zeros_like(u) if by.u is None else by.u
+        gradient = self.transpose(trajectory, u, source) / self.interval
+        return gradient if by.u is None else gradient + by.u
 
     def centre_sensitivity(self, u: Array, every: int) -> CentreSensitivity:
         """Return the derivative of the sheep's centre at u, at every so many-th step.
@@ -64,15 +97,16 @@ class CoarseModel:
         at_once = kernels.PATHS // 2
         blocks = np.zeros((-(-len(nodes) // at_once), at_once), dtype=np.int_)
         blocks.flat[: len(nodes)] = nodes
-        constants = physics(self.crowd, trajectory.n, self.dt)
-        intervals, dogs, _ = u.shape
+        constants, d = physics(self.crowd, trajectory.n, self.dt), positions(trajectory.ds)
+        shape = (*d.shape, kernels.PATHS)
 
         def sweep(block: NDArray[np.int_]) -> Array:
-            rows = np.zeros((intervals, 2, dogs * kernels.PATHS))
+            dogs = np.empty(shape)
             kernels.centre_adjoints(
-                trajectory.xs, trajectory.ds, block, self.substeps, constants, rows
+                trajectory.xs, d, block, constants, dogs.reshape(*shape[:2], -1)
             )
-            return rows.reshape(intervals, 2, dogs, kernels.PATHS).transpose(3, 0, 2, 1)
+            rows = np.moveaxis(self.transpose(trajectory, u, dogs), -1, 0)
+            return np.ascontiguousarray(rows)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             rows = np.concatenate(list(pool.map(sweep, blocks)))[: 2 * len(nodes)]

@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pilot decides what the dogs do, given the time and what was observed. No ROS.
+
+Two pilots share the filter, the goal and the count of what went wrong. They differ in how they
+keep time: `LockstepPilot`, below, replies to each observation, however long a solve takes;
+`RealTimePilot`, in real_time_pilot.py, gives commands by its own clock and plans ahead in the
+background.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+import math
+import threading
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.state import Array, finite, HerdState
+
+from .estimator import StateEstimator
+from .parameters import Control
+from .schedule import Request, ScheduledPlan
+from .solution import NoTimeFor
+from .window import Window
+
+SLACK = 1e-6
+"""Seconds since 1970 in double precision are exact to 2.4e-7 s."""
+
+_REPEAT = 30.0
+"""Time after which an event is reported again that has occurred again [s]."""
+
+
+class Planner(Protocol):
+    """Plans a window from a state; `RecedingHorizon` is one."""
+
+    crowd: Crowd
+    control: Control
+    goal: Array
+
+    def due(self, t: float) -> bool:
+        """Return whether the accepted part of the last plan is over at t [s]."""
+
+    def move_goal(self, goal: Array) -> None:
+        """Plan for another goal (2,) [m] from the next solve on."""
+
+    def restart(self) -> None:
+        """Start the next solve from standing dogs."""
+
+    def adjust(self, crowd: Crowd, control: Control) -> None:
+        """Plan with these from the next solve on."""
+
+    def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = ...) -> Window:
+        """Plan the window that starts at t [s] in the given state."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The sheep and the visible dogs at an instant.
+
+    stamp: time [ns]; ids: (N,) names of the sheep; state: of these sheep and of the visible
+    dogs; dogs: these, by their indices from 0.
+    """
+
+    stamp: int
+    ids: NDArray[np.integer]
+    state: HerdState
+    dogs: tuple[int, ...]
+
+    @classmethod
+    def complete(cls, t: float, state: HerdState) -> Observed:
+        """Return an observation at t [s] of all sheep, named by their rows, and all dogs."""
+        return cls(round(t * 1e9), np.arange(len(state.x)), state, tuple(range(len(state.d))))
+
+    @property
+    def t(self) -> float:
+        """Time [s]."""
+        return self.stamp * 1e-9
+
+
+@dataclass(frozen=True)
+class Announcement:
+    """A new plan: its number from 0, and by how much it was ready before its start [s]."""
+
+    plan: ScheduledPlan
+    number: int
+    margin: float
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that a person should read; level: 'info', 'warning' or 'error'."""
+
+    level: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the pilot decided.
+
+    command: velocities (M, 2) [m/s] of all dogs; None before the first plan. announcement: a plan
+    that is new. events: what has changed or gone wrong. error: why a plan was not made, if so.
+    """
+
+    command: Array | None
+    announcement: Announcement | None = None
+    events: tuple[Event, ...] = ()
+    error: Exception | None = None
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What the pilot is doing, in words, and whether that is as it should be."""
+
+    doing: str
+    good: bool
+
+
+class Pilot:
+    """What both pilots share; see `LockstepPilot` and `RealTimePilot`."""
+
+    def __init__(self, planner: Planner, dogs: int) -> None:
+        """Plan by `planner`, which nobody else may use, for so many dogs."""
+        self.dogs = dogs
+        self.plans_made = self.deadlines_missed = self.plans_failed = 0
+        self.estimate: Observed | None = None
+        """The most likely state at the last observation."""
+        self._planner = planner
+        self._crowd, self._control = planner.crowd, planner.control
+        self._goal = _as_pair(planner.goal)
+        horizon = planner.control.horizon
+        self._period = horizon.control_period
+        self._estimator = StateEstimator(
+            planner.crowd,
+            planner.control.sensor,
+            self._period,
+            horizon.substeps,
+            planner.control.motion,
+        )
+        self._stopping = threading.Event()
+        self._events: list[Event] = []
+        self._said: dict[str, float] = {}  # when
+        self._error: Exception | None = None
+        self._start_afresh()
+
+    def _start_afresh(self) -> None:
+        """Forget the past, as at the start or when time was set back."""
+        self._time = -math.inf
+        self._said.clear()
+        self._visible: tuple[int, ...] = ()
+        self._command: Array = np.zeros((self.dogs, 2))  # the last one
+        self._afresh = True
+        self.estimate = None
+        self._estimator.reset()
+
+    def move_goal(self, goal: Array) -> bool:
+        """Herd to another goal (2,) [m]; return whether it is another one and asks for a plan."""
+        before, self._goal = self._goal, _as_pair(finite('goal', goal, (2,)))
+        return self._goal != before
+
+    def adjust(self, crowd: Crowd, control: Control) -> None:
+        """Use these from the next plan on."""
+        self._crowd, self._control = crowd, control
+
+    def stop(self) -> None:
+        """End a solve that is under way early; may be called from any thread."""
+        self._stopping.set()
+
+    @property
+    def silent_dogs(self) -> list[str]:
+        """Names of the dogs that are not visible."""
+        return [dog_name(m) for m in range(self.dogs) if m not in self._visible]
+
+    def _advance_to(self, t: float) -> float:
+        """Return the time [s] to decide for: t, or the last time if t is before it by jitter."""
+        if is_set_back(t, self._time, self._period):
+            self._say(
+                'warning',
+                f'time was set back from {self._time:.3f} to {t:.3f} s: the dogs stop, and '
+                'planning starts afresh',
+            )
+            self._start_afresh()
+        self._time = max(self._time, t)
+        return self._time
+
+    def _prepare_planner(self) -> None:
+        """Apply to the planner, while it is idle, what has changed since its last plan."""
+        planner = self._planner
+        if (self._crowd, self._control) != (planner.crowd, planner.control):
+            planner.adjust(self._crowd, self._control)
+        self._estimator.crowd = self._crowd
+        planner.move_goal(np.array(self._goal))
+        if self._afresh:
+            planner.restart()
+        self._afresh = False
+
+    def _observe(self, observed: Observed) -> Observed:
+        """Filter an observation; each counts once."""
+        last = self.estimate
+        if last is None or (observed.stamp, observed.dogs) != (last.stamp, last.dogs):
+            try:
+                state = self._estimator.update(
+                    observed.t, observed.ids, observed.state, self._command, observed.dogs
+                )
+            except (ValueError, ArithmeticError) as error:  # the prediction is not finite
+                self._record_failure(error)
+                self._estimator.reset()
+                state = observed.state
+            last = self.estimate = replace(observed, state=state)
+        return last
+
+    def _announce(self, plan: ScheduledPlan, margin: float) -> Announcement:
+        self.plans_made += 1
+        return Announcement(plan, self.plans_made - 1, margin)
+
+    def _record_failure(self, error: Exception) -> None:
+        self._error = error
+        if not self.plans_failed:
+            self._say('error', f'a plan could not be made: {error!r}; further ones are counted')
+        self.plans_failed += 1
+
+    def _say(self, level: str, text: str) -> None:
+        """Add an event, unless the same one was added recently."""
+        if not self._time < self._said.get(text, -math.inf) + _REPEAT:
+            self._said[text] = self._time
+            self._events.append(Event(level, text))
+
+    def _decision(self, command: Array | None, announcement: Announcement | None) -> Decision:
+        if command is not None:
+            self._command = command
+        decision = Decision(command, announcement, tuple(self._events), self._error)
+        self._events, self._error = [], None
+        return decision
+
+
+class LockstepPilot(Pilot):
+    """Replies to each observation, and makes a plan first if one is due.
+
+    A plan is due when the accepted part of the last one is over, when the goal has moved, or when
+    time was set back. One that cannot be made is tried again at the next observation; until then
+    the last plan is played to its end.
+    """
+
+    def __init__(self, planner: Planner, dogs: int) -> None:
+        """Plan by `planner`, which nobody else may use, for so many dogs."""
+        self._plan: ScheduledPlan | None = None
+        super().__init__(planner, dogs)
+
+    def _start_afresh(self) -> None:
+        super()._start_afresh()
+        self._plan = None
+
+    def decide(self, observed: Observed) -> Decision:
+        """Return the command for an observation of all dogs."""
+        t = self._advance_to(observed.t)
+        self._visible = observed.dogs
+        state = self._observe(observed).state
+        announcement = None
+        if self._is_plan_due(observed):
+            try:
+                announcement = self._make_plan(observed, state)
+            except Exception as error:
+                self._record_failure(error)
+        stand = np.zeros((self.dogs, 2))
+        command = stand if self._plan is None else self._plan.velocities(t, self.dogs)
+        return self._decision(command, announcement)
+
+    def condition(self, t: float) -> Condition:
+        """Return what the pilot is doing at t [s]."""
+        if self._plan is None and self.plans_failed:
+            return Condition('standing: no plan could be made', False)
+        return Condition('replying in lockstep', True)
+
+    def _is_plan_due(self, observed: Observed) -> bool:
+        last = self._plan
+        return (
+            last is None
+            or last.request != Request(self._goal, observed.dogs)
+            or self._planner.due(self._time)
+        )
+
+    def _make_plan(self, observed: Observed, state: HerdState) -> Announcement:
+        self._prepare_planner()
+        window = self._planner.solve(state, self._time, lambda _: self._stopping.is_set())
+        request = Request(self._goal, observed.dogs)
+        self._plan = ScheduledPlan(window, request, self._control.horizon.accepted)
+        return self._announce(self._plan, 0.0)
+
+
+def is_set_back(t: float, last: float, control_period: float) -> bool:
+    """Return whether time [s] was set back to t; by less than a control period is jitter."""
+    return t <= last - control_period + SLACK
+
+
+def dog_name(m: int) -> str:
+    """Return the name of the dog with this index from 0, as topics and frames have it."""
+    return f'dog_{m + 1}'
+
+
+def _as_pair(goal: Array) -> tuple[float, float]:
+    return float(goal[0]), float(goal[1])
+
+
+Clock = Callable[[], float]
+"""Returns the time [s]."""

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plans that have been made, in the order in which they are played."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from herding_ros.model.state import Array
+
+from .window import Window
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a plan is made for: a goal (x, y) [m] and some dogs, by their indices from 0."""
+
+    goal: tuple[float, float]
+    dogs: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ScheduledPlan:
+    """A planned window, what it was planned for, and its accepted part [s]."""
+
+    window: Window
+    request: Request
+    accepted: float
+
+    @property
+    def start(self) -> float:
+        """Time from which it is played [s]."""
+        return self.window.plan.t0
+
+    @property
+    def accepted_until(self) -> float:
+        """Time at which the next plan ought to take over [s]."""
+        return self.start + self.accepted
+
+    @property
+    def end(self) -> float:
+        """Time at which it has been played to its end [s]."""
+        return self.window.plan.end
+
+    def velocities(self, t: float, dogs: int) -> Array:
+        """Return velocities (dogs, 2) [m/s] at t [s]; dogs that it was not made for stand."""
+        u = np.zeros((dogs, 2))
+        u[list(self.request.dogs)] = self.window.plan.at(t)
+        return u
+
+
+class Schedule:
+    """Plays of all plans the one that began last.
+
+    A plan is only ever superseded by another that has begun. Nothing takes away the plan that is
+    played, nor one that waits for its start: so dogs always have a plan once they have had one,
+    until its end.
+    """
+
+    def __init__(self) -> None:
+        self._plans: list[ScheduledPlan] = []  # by their starts
+
+    def add(self, plan: ScheduledPlan) -> None:
+        """Play a plan from its start on; of two with the same start, the one added last."""
+        self._plans.append(plan)
+        self._plans.sort(key=lambda each: each.start)
+
+    @property
+    def last(self) -> ScheduledPlan | None:
+        """The plan that begins last."""
+        return self._plans[-1] if self._plans else None
+
+    def playing(self, t: float) -> ScheduledPlan | None:
+        """Return the plan that is played at t [s]; None before the first."""
+        begun = [plan for plan in self._plans if plan.start <= t + 1e-9]
+        return begun[-1] if begun else None
+
+    def forget_before(self, t: float) -> None:
+        """Forget the plans that were superseded by t [s]."""
+        playing = self.playing(t)
+        if playing is not None:
+            del self._plans[: self._plans.index(playing)]
+
+    def velocities(self, t: float, dogs: int) -> Array:
+        """Return the velocities (dogs, 2) [m/s] of all dogs at t [s]; zero without a plan."""
+        playing = self.playing(t)
+        return np.zeros((dogs, 2)) if playing is None else playing.velocities(t, dogs)

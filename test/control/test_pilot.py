@@ -1,0 +1,587 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Both pilots, with a clock that is set by hand and plans that say what they are for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from herding_ros.control.closed_loop import as_policy
+from herding_ros.control.parameters import Control, Horizon, Sensor
+from herding_ros.control.pilot import Decision, LockstepPilot, Observed
+from herding_ros.control.plan import Plan
+from herding_ros.control.real_time_pilot import RealTimePilot, Timing
+from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.control.solution import never, NoTimeFor, Status
+from herding_ros.control.solve_report import SolveReport
+from herding_ros.control.window import Window
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.state import Array, HerdState
+
+PERIOD, LENGTH, ACCEPTED, LEAD = 0.1, 4.0, 2.0, 1.0
+CONTROL = Control(horizon=Horizon(length=LENGTH, accepted=ACCEPTED, control_period=PERIOD))
+GOAL = (1.0, 0.0)
+NEW_GOAL = (0.0, 1.0)
+REPORT = SolveReport(
+    Status.CONVERGED, 0.0, 0.0, 0, 0, 0, (), 0.0, 0, Status.CONVERGED, 0, (), 0.0, 0.0, {}
+)
+
+
+class FakePlanner:
+    """Plans that all dogs run along the goal, (1e-3 goal) m/s: so a command shows its goal."""
+
+    def __init__(self, control: Control = CONTROL) -> None:
+        self.crowd, self.control, self.goal = Crowd(), control, np.array(GOAL)
+        self.restarts = 0
+        self.solved: list[tuple[float, HerdState]] = []
+        self.error: Exception | None = None
+        self.speed = 1e-3
+        self.last: Plan | None = None
+        self.asked = 1
+
+    def due(self, t: float) -> bool:
+        return self.last is None or not -1e-6 <= t - self.last.t0 < ACCEPTED - 1e-6
+
+    def move_goal(self, goal: Array) -> None:
+        self.goal = goal
+
+    def restart(self) -> None:
+        self.restarts += 1
+        self.last = None
+
+    def adjust(self, crowd: Crowd, control: Control) -> None:
+        self.crowd, self.control = crowd, control
+
+    def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
+        self.solved.append((t, state))
+        self.stopped = no_time_for('coarse')
+        if self.error is not None:
+            raise self.error
+        intervals = self.control.horizon.intervals
+        u = np.broadcast_to(self.speed * self.goal, (intervals, len(state.d), 2))
+        self.last = Plan(t, PERIOD, u)
+        centre, dogs = np.zeros((intervals + 1, 2)), np.zeros((intervals + 1, *state.d.shape))
+        return Window(self.last, REPORT, PERIOD, centre, dogs)
+
+
+def seen(t: float, dogs: tuple[int, ...] = (0, 1, 2), sheep: int = 2) -> Observed:
+    d = np.array([[-0.5, 0.1 * m] for m in dogs])
+    x = np.array([[0.1 * i, 0.0] for i in range(sheep)])
+    return Observed(round(t * 1e9), np.arange(sheep), HerdState(x, np.zeros_like(x), d), dogs)
+
+
+def goal_of(command: Array) -> list[tuple[float, float]]:
+    """The goals that the dogs run to, (0, 0) for one that stands."""
+    return [(float(x), float(y)) for x, y in 1e3 * command]
+
+
+class Field:
+    """A real-time pilot at work: time passes in control periods, and a solve takes `solving`."""
+
+    def __init__(self, solving: float = 0.3, lead: float = LEAD, timeout: float = 0.5) -> None:
+        self.t = 100.0
+        self.elapsed = 0.0  # which goes on when t is set back
+        self.solving = solving
+        self.planner = FakePlanner()
+        self.pending: list[tuple[float, Callable[[], None]]] = []
+        self.pilot = RealTimePilot(
+            self.planner, 3, Timing(lead, timeout), lambda: self.t, self._later
+        )
+        self.dogs: tuple[int, ...] = (0, 1, 2)
+        self.visible = True
+        self.decisions: list[tuple[float, Decision]] = []
+
+    def _later(self, function: Callable[[], None]) -> None:
+        self.pending.append((self.elapsed + self.solving, function))
+
+    def tick(self, step: float = PERIOD) -> Decision:
+        """Let a control period pass, and solves end that are over by then."""
+        self.t += step
+        self.elapsed += PERIOD
+        for end, function in list(self.pending):
+            if end <= self.elapsed + 1e-9:
+                self.pending.remove((end, function))
+                function()
+        observed = seen(self.t, self.dogs) if self.visible and self.dogs else None
+        decision = self.pilot.decide(self.t, observed)
+        self.decisions.append((self.t, decision))
+        return decision
+
+    def run(self, seconds: float) -> list[Decision]:
+        return [self.tick() for _ in range(round(seconds / PERIOD))]
+
+    def run_until(self, condition: Callable[[Decision], object], limit: float = 60.0) -> Decision:
+        for _ in range(round(limit / PERIOD)):
+            decision = self.tick()
+            if condition(decision):
+                return decision
+        raise AssertionError('waited too long')
+
+    def herding(self) -> Field:
+        """Run until the first plan is played."""
+        self.run_until(lambda decision: decision.command is not None)
+        return self
+
+    @property
+    def starts(self) -> list[float]:
+        return [t for t, _ in self.planner.solved]
+
+    def said(self, words: str) -> list[str]:
+        return [
+            event.text
+            for _, decision in self.decisions
+            for event in decision.events
+            if words in event.text
+        ]
+
+
+def command(decision: Decision) -> Array:
+    assert decision.command is not None
+    return decision.command
+
+
+# In lockstep.
+
+
+def lockstep() -> tuple[LockstepPilot, FakePlanner]:
+    planner = FakePlanner()
+    return LockstepPilot(planner, 3), planner
+
+
+def test_lockstep_plans_when_due_and_replies_each_time() -> None:
+    pilot, planner = lockstep()
+    decisions = [pilot.decide(seen(0.1 * k)) for k in range(45)]
+    assert [t for t, _ in planner.solved] == pytest.approx([0.0, 2.0, 4.0])
+    assert all(goal_of(command(decision)) == [GOAL] * 3 for decision in decisions)
+    numbers = [d.announcement.number for d in decisions if d.announcement]
+    assert numbers == [0, 1, 2]
+    assert pilot.plans_made == 3
+    assert not any(decision.events for decision in decisions)
+
+
+def test_lockstep_reply_is_that_of_the_real_planner() -> None:
+    control = Control(horizon=Horizon(length=1.0, accepted=0.5))
+    herd = seen(0.0, sheep=4).state
+    pilot = LockstepPilot(RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7), 3)
+    by_hand = RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7)
+    for k in range(8):
+        if k % 5 == 0:
+            plan = by_hand.solve(herd, 0.1 * k).plan
+        reply = pilot.decide(Observed.complete(0.1 * k, herd))
+        np.testing.assert_array_equal(reply.command, plan.at(0.1 * k))
+
+
+def test_lockstep_plans_for_a_moved_goal_at_once_and_for_the_same_goal_not_again() -> None:
+    pilot, planner = lockstep()
+    pilot.decide(seen(0.0))
+    assert not pilot.move_goal(np.array(GOAL))
+    assert pilot.decide(seen(0.1)).announcement is None
+    assert pilot.move_goal(np.array(NEW_GOAL))
+    reply = pilot.decide(seen(0.2))
+    assert goal_of(command(reply)) == [NEW_GOAL] * 3
+    assert reply.announcement is not None
+    assert reply.announcement.plan.request.goal == NEW_GOAL
+    assert [t for t, _ in planner.solved] == pytest.approx([0.0, 0.2])
+
+
+@pytest.mark.parametrize('goal', [(math.nan, 0.0), (1.0,), (1.0, 2.0, 3.0), (math.inf, 0.0)])
+def test_a_goal_that_is_not_a_point_is_refused_and_changes_nothing(
+    goal: tuple[float, ...],
+) -> None:
+    pilot, planner = lockstep()
+    pilot.decide(seen(0.0))
+    with pytest.raises(ValueError, match='goal'):
+        pilot.move_goal(np.array(goal))
+    assert goal_of(command(pilot.decide(seen(0.1)))) == [GOAL] * 3
+    assert len(planner.solved) == 1
+
+
+def test_lockstep_starts_afresh_when_time_is_set_back() -> None:
+    pilot, planner = lockstep()
+    for t in (0.0, 0.1, 2.0, 0.0, 0.0):
+        pilot.decide(seen(t))
+    assert [t for t, _ in planner.solved] == [0.0, 2.0, 0.0]
+    assert planner.restarts == 2  # the first plan counts as well
+
+
+def test_lockstep_takes_a_step_back_of_less_than_a_control_period_for_jitter() -> None:
+    pilot, planner = lockstep()
+    for t in (0.0, 1.0, 0.95, 1.05):
+        pilot.decide(seen(t))
+    assert len(planner.solved) == 1
+    assert planner.restarts == 1
+
+
+@pytest.mark.parametrize('what', ['error', 'nan'])
+def test_lockstep_counts_a_failed_solve_and_plays_the_last_plan_on(what: str) -> None:
+    pilot, planner = lockstep()
+    pilot.decide(seen(0.0))
+    if what == 'error':
+        planner.error = ArithmeticError('the solver is broken')
+    else:
+        planner.speed = math.nan
+    replies = [pilot.decide(seen(0.1 * k)) for k in range(20, 45)]
+    assert pilot.plans_failed == 25
+    assert sum(bool(reply.events) for reply in replies) == 1  # said once, counted always
+    assert all(reply.error is not None for reply in replies)
+    on = [goal_of(command(reply))[0] for reply in replies]
+    assert on == [GOAL] * 20 + [(0.0, 0.0)] * 5  # the old plan ends at 4 s
+    planner.error, planner.speed = None, 1e-3
+    assert goal_of(command(pilot.decide(seen(4.5)))) == [GOAL] * 3
+
+
+def test_lockstep_stands_while_no_plan_was_ever_made() -> None:
+    pilot, planner = lockstep()
+    planner.error = RuntimeError('no')
+    assert goal_of(command(pilot.decide(seen(0.0)))) == [(0.0, 0.0)] * 3
+    assert not pilot.condition(0.0).good
+
+
+def test_in_a_closed_loop_a_failed_solve_is_raised() -> None:
+    pilot, planner = lockstep()
+    planner.error = ArithmeticError('the solver is broken')
+    with pytest.raises(ArithmeticError, match='broken'):
+        as_policy(pilot, [])(seen(0.0).state, 0.0)
+
+
+def test_lockstep_uses_new_parameters_from_the_next_plan_on() -> None:
+    pilot, planner = lockstep()
+    pilot.decide(seen(0.0))
+    changed = Control(horizon=CONTROL.horizon, max_speed=0.04)
+    pilot.adjust(Crowd(noise=0.03), changed)
+    pilot.decide(seen(0.1))
+    assert planner.control is CONTROL
+    pilot.decide(seen(2.0))
+    assert planner.control is changed
+    assert planner.crowd.noise == 0.03
+
+
+def test_a_stopped_pilot_ends_its_solve_early() -> None:
+    pilot, planner = lockstep()
+    pilot.decide(seen(0.0))
+    assert not planner.stopped
+    pilot.stop()
+    pilot.decide(seen(2.0))
+    assert planner.stopped
+
+
+# By its own clock.
+
+
+def test_no_command_before_the_first_plan_starts_and_that_is_announced_before() -> None:
+    field = Field()
+    announced = field.run_until(lambda decision: decision.announcement)
+    assert announced.announcement is not None
+    assert announced.announcement.margin == pytest.approx(LEAD - field.solving, abs=1e-6)
+    assert announced.announcement.plan.start == pytest.approx(field.t + LEAD - field.solving)
+    assert all(decision.command is None for _, decision in field.decisions)
+    assert field.pilot.condition(field.t).doing == 'standing: the first plan is not ready yet'
+    field.herding()
+    assert field.t == pytest.approx(announced.announcement.plan.start)
+    assert field.pilot.condition(field.t).good
+
+
+def test_windows_join_without_a_gap() -> None:
+    field = Field().herding()
+    field.run(10.0)
+    assert np.diff(field.starts) == pytest.approx(ACCEPTED)
+    assert field.pilot.deadlines_missed == field.pilot.plans_failed == 0
+
+
+@pytest.mark.parametrize('lead', [0.3, 1.0, 1.9, 5.0])
+def test_windows_join_whatever_the_lead(lead: float) -> None:
+    """Also where it is longer than a window."""
+    field = Field(0.2, lead).herding()
+    field.run(20.0)
+    assert np.diff(field.starts) == pytest.approx(ACCEPTED)
+    assert all(decision.command.any() for _, decision in field.decisions[-150:])
+
+
+def test_next_plan_begins_from_the_state_that_the_commands_lead_to() -> None:
+    field = Field().herding()
+    first, ahead = field.planner.solved[0][1], field.planner.solved
+    field.run(ACCEPTED)
+    assert len(ahead) == 2
+    # The first plan runs from LEAD after the observation: till then the dogs stand.
+    np.testing.assert_allclose(first.d, seen(0.0).state.d, rtol=0, atol=1e-15)
+    moved = ahead[1][1].d - seen(0.0).state.d  # observed dogs never move in this field
+    np.testing.assert_allclose(moved, np.tile(1e-3 * np.array(GOAL), (3, 1)) * LEAD, atol=1e-12)
+
+
+def test_slow_solves_leave_the_second_half_and_then_the_dogs_stand_and_it_recovers() -> None:
+    field = Field().herding()
+    begun = field.t
+    field.solving = 6.0
+    field.run_until(lambda decision: not command(decision).any())
+    assert field.t == pytest.approx(begun + LENGTH)  # the whole plan was played
+    doing = {field.pilot.condition(t).doing for t in (begun + 2.5, begun + 4.5)}
+    assert doing == {
+        'playing the second half: the next plan is late',
+        'standing: the plan is over and the next is not ready yet',
+    }
+    assert not field.pilot.condition(begun + 2.5).good
+    assert field.pilot.deadlines_missed == 1  # once for each plan that is late
+    assert len(field.said('a plan is late')) == 1
+    field.solving = 0.3
+    field.run_until(lambda decision: command(decision).any())
+    field.run(10.0)
+    assert field.pilot.condition(field.t).doing == 'playing a plan'
+    assert field.pilot.deadlines_missed == 1
+
+
+def test_late_plan_is_announced_as_late_and_played_from_where_it_should_be() -> None:
+    field = Field(solving=LEAD + 0.25)
+    announced = field.run_until(lambda decision: decision.announcement)
+    assert announced.announcement is not None
+    assert announced.announcement.margin == pytest.approx(-0.3, abs=1e-6)
+    assert goal_of(command(announced)) == [GOAL] * 3
+    assert field.pilot.deadlines_missed == 1
+
+
+def test_failed_solves_are_counted_and_tried_again() -> None:
+    field = Field().herding()
+    field.planner.error = ArithmeticError('the solver is broken')
+    field.run_until(lambda decision: not command(decision).any())
+    assert field.pilot.plans_failed > 3
+    assert len(field.said('the solver is broken')) == 1
+    field.planner.error = None
+    field.run_until(lambda decision: command(decision).any())
+
+
+def test_dogs_stand_while_no_sheep_are_visible_and_go_on_afterwards() -> None:
+    field = Field().herding()
+    field.visible = False
+    assert not command(field.tick()).any()
+    assert field.pilot.condition(field.t).doing == 'standing: no sheep or no dogs in sight'
+    field.visible = True
+    assert command(field.tick()).any()
+    field.visible = False
+    field.run(10.0)  # longer than any plan lasts
+    field.visible = True
+    field.run_until(lambda decision: command(decision).any(), limit=2 * LEAD)
+
+
+def test_silent_dog_is_planned_without_and_taken_back() -> None:
+    field = Field().herding()
+    field.dogs = (0, 2)
+    planned = field.run_until(lambda decision: decision.announcement)
+    assert planned.announcement is not None
+    assert planned.announcement.plan.request.dogs == (0, 2)
+    assert field.said('no odometry from dog_2: planning without')
+    assert field.pilot.silent_dogs == ['dog_2']
+    assert not field.pilot.condition(field.t).good
+    field.run(LEAD)
+    assert goal_of(command(field.tick())) == [GOAL, (0.0, 0.0), GOAL]
+    field.dogs = (0, 1, 2)
+    field.run(LEAD + 2 * field.solving)
+    assert goal_of(command(field.tick())) == [GOAL] * 3
+    assert field.said('odometry from all dogs again')
+
+
+def test_first_plan_waits_a_moment_for_all_dogs() -> None:
+    field = Field(timeout=0.5)
+    field.dogs = (1,)
+    field.run(0.5)
+    assert not field.planner.solved
+    field.dogs = (0, 1, 2)
+    field.herding()
+    assert field.planner.solved[0][1].d.shape == (3, 2)
+    alone = Field(timeout=0.5)
+    alone.dogs = (1,)
+    alone.herding()
+    assert alone.planner.solved[0][1].d.shape == (1, 2)
+
+
+def test_moved_goal_is_planned_for_at_once_and_the_old_plan_goes_on_until_then() -> None:
+    field = Field().herding()
+    field.run(0.5)
+    moved = field.t
+    field.pilot.move_goal(np.array(NEW_GOAL))
+    decisions = field.run(LEAD + 0.2)
+    goals = [goal_of(command(decision))[0] for decision in decisions]
+    assert goals[0] == GOAL
+    assert goals[-1] == NEW_GOAL
+    assert (0.0, 0.0) not in goals
+    assert field.starts[-1] == pytest.approx(moved + PERIOD + LEAD)
+
+
+def test_goal_that_is_moved_back_before_a_plan_is_begun_asks_for_nothing() -> None:
+    field = Field().herding()
+    before = len(field.planner.solved)
+    field.pilot.move_goal(np.array(NEW_GOAL))
+    field.pilot.move_goal(np.array(GOAL))
+    field.run(0.5)
+    assert len(field.planner.solved) == before
+
+
+def test_newest_of_several_goals_wins() -> None:
+    field = Field().herding()
+    for goal in ((3.0, 0.0), (2.0, 0.0), NEW_GOAL):
+        field.pilot.move_goal(np.array(goal))
+        field.tick()
+    field.run(LEAD + 2 * field.solving + PERIOD)
+    assert goal_of(command(field.tick())) == [NEW_GOAL] * 3
+
+
+@pytest.mark.parametrize('every', [0.1, 1.0])
+@pytest.mark.parametrize('moves', [True, False])
+def test_goals_at_any_rate_do_not_starve_the_dogs(every: float, moves: bool) -> None:
+    """A solve takes longer than the time between two goals."""
+    field = Field(solving=0.9, lead=3.0).herding()
+    begun = len(field.planner.solved)
+    goal = np.array(GOAL)
+    for k in range(400):
+        if k % round(every / PERIOD) == 0:
+            goal = goal + np.array([0.01, 0.0]) if moves else goal
+            field.pilot.move_goal(goal)
+        assert command(field.tick()).any()
+    if moves:
+        # What is played was asked for a lead and two solves ago at most.
+        age = (goal[0] - goal_of(command(field.decisions[-1][1]))[0][0]) / 0.01 * every
+        assert age <= 3.0 + 2 * 0.9 + 3 * PERIOD + every
+    else:
+        assert len(field.planner.solved) - begun == 20  # one for each window
+    assert field.pilot.deadlines_missed == 0
+
+
+def test_a_dog_whose_radio_comes_and_goes_does_not_stop_the_others() -> None:
+    field = Field(solving=0.4, lead=3.0, timeout=0.5).herding()
+    for k in range(600):
+        field.dogs = (0, 1, 2) if k % 29 < 19 else (0, 1)
+        assert goal_of(command(field.tick()))[:2] == [GOAL] * 2
+    assert len(field.said('no odometry from dog_3')) == 2  # in a minute, of twenty times
+    assert field.pilot.plans_failed == field.pilot.deadlines_missed == 0
+
+
+def test_dogs_stop_in_the_period_in_which_time_is_set_back() -> None:
+    field = Field().herding()
+    assert command(field.tick()).any()
+    stopped = field.tick(-0.3)
+    assert not command(stopped).any()
+    assert field.said('time was set back')
+    # Zero is commanded until there is a plan for the new time.
+    again = field.run_until(lambda decision: command(decision).any(), limit=2.0)
+    assert again is field.decisions[-1][1]
+    assert field.planner.restarts == 2
+
+
+def test_plan_for_the_time_before_a_reset_is_dropped() -> None:
+    field = Field(solving=0.5).herding()
+    field.run_until(lambda _: field.pending)
+    field.tick(-50.0)
+    assert len(field.pending) == 1  # it ends in its own time
+    announced = field.run_until(lambda decision: decision.announcement).announcement
+    assert announced is not None
+    assert field.t < announced.plan.start <= field.t + LEAD
+    assert announced.number == 1
+
+
+@pytest.mark.parametrize('step', [0.02, 0.09])
+def test_small_steps_back_are_jitter(step: float) -> None:
+    field = Field().herding()
+    solved = len(field.planner.solved)
+    assert command(field.tick(-step)).any()
+    assert command(field.tick()).any()
+    assert field.planner.restarts == 1
+    assert not field.said('time was set back')
+    assert len(field.planner.solved) <= solved + 1
+
+
+def test_clock_that_leaps_ahead_beyond_the_plan_stops_the_dogs_until_the_next() -> None:
+    field = Field().herding()
+    assert not command(field.tick(1000.0)).any()
+    field.run_until(lambda decision: command(decision).any(), limit=2 * LEAD)
+
+
+def test_observation_counts_once_in_the_filter() -> None:
+    """The clock may tick several times for one observation."""
+    planner = FakePlanner(Control(horizon=CONTROL.horizon, sensor=Sensor(0.05, 0.05)))
+    pilot = RealTimePilot(planner, 3, Timing(LEAD, 0.5), lambda: 0.0, lambda function: None)
+    observed = seen(10.0)
+    pilot.decide(10.0, observed)
+    first = pilot.estimate
+    pilot.decide(10.1, observed)
+    assert pilot.estimate is first
+    pilot.decide(10.2, seen(10.1))
+    assert pilot.estimate is not first
+
+
+def test_filter_that_fails_is_counted_and_the_observation_is_used_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    field = Field().herding()
+
+    def fail(*_: object) -> HerdState:
+        raise ValueError('sheep positions x holds NaN')
+
+    monkeypatch.setattr(field.pilot._estimator, 'update', fail)
+    assert command(field.tick()).any()
+    assert field.pilot.plans_failed == 1
+    assert field.pilot.estimate is not None
+    np.testing.assert_array_equal(field.pilot.estimate.state.x, seen(0.0).state.x)
+
+
+def test_sheep_may_come_and_go() -> None:
+    field = Field().herding()
+    for sheep in (1, 5, 3):
+        for _ in range(20):
+            field.t += PERIOD
+            for _, function in field.pending:
+                function()
+            field.pending.clear()
+            decision = field.pilot.decide(field.t, seen(field.t, sheep=sheep))
+            assert command(decision).any()
+        assert len(field.planner.solved[-1][1].x) == sheep
+
+
+EVENTS = st.one_of(
+    st.tuples(st.just('goal'), st.integers(0, 3)),
+    st.tuples(st.just('dogs'), st.sampled_from([(0, 1, 2), (0, 1), (2,), (0, 2)])),
+    st.tuples(st.just('jitter'), st.floats(0.0, 0.099)),
+    st.tuples(st.just('solving'), st.floats(0.0, 0.9)),
+    st.tuples(st.just('quiet'), st.integers(1, 40)),
+    st.tuples(st.just('adjust'), st.floats(0.01, 0.05)),
+)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(EVENTS, max_size=40), st.integers(1, 4))
+def test_whatever_happens_there_is_a_plan_in_play_of_bounded_age(
+    events: list[tuple[str, object]], every: int
+) -> None:
+    """As long as solves keep their deadlines and time and sheep are there."""
+    lead = 1.0
+    field = Field(solving=0.2, lead=lead).herding()
+    bound = max(ACCEPTED, 2 * lead) + 3 * PERIOD
+    for kind, value in events:
+        if kind == 'goal':
+            field.pilot.move_goal(np.array([1.0, float(value)]))  # type: ignore[arg-type]
+        elif kind == 'dogs':
+            field.dogs = value  # type: ignore[assignment]
+        elif kind == 'solving':
+            field.solving = value  # type: ignore[assignment]
+        elif kind == 'adjust':
+            control = Control(horizon=CONTROL.horizon, max_speed=value)  # type: ignore[arg-type]
+            field.pilot.adjust(Crowd(), control)
+        elif kind == 'jitter':
+            field.tick(-value)  # type: ignore[operator]
+        for _ in range(value if kind == 'quiet' else every):  # type: ignore[call-overload]
+            decision = field.tick()
+            playing = field.pilot._schedule.playing(field.t)
+            assert playing is not None
+            assert field.t - playing.start <= bound
+            expected = playing.velocities(field.t, 3)
+            np.testing.assert_array_equal(decision.command, expected)
+            assert expected[list(playing.request.dogs)].any()
+    # What was asked for last is what is played in the end.
+    field.run(lead + 2 * field.solving + 3 * PERIOD)
+    playing = field.pilot._schedule.playing(field.t)
+    assert playing is not None
+    assert playing.request.goal == field.pilot._goal
+    assert playing.request.dogs == field.dogs
+    assert field.pilot.deadlines_missed == 0
