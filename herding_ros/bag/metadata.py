@@ -32,6 +32,9 @@ RECORD_NAME = 'rosbag2'
 RECORD_KEY = 'serialized_metadata'
 """Key of such a record under which the map is, as YAML."""
 
+PROFILES_KEY = 'offered_qos_profiles'
+"""Key of a channel's QoS profiles, as YAML."""
+
 ROS_DISTRO = 'jazzy'
 """Release of ROS 2 whose format and messages are written."""
 
@@ -84,17 +87,26 @@ class FileInformation:
 
 
 def topic_information(channel: Channel, schema: Schema) -> TopicInformation:
-    """Return a topic by its records in a data file; its messages are not counted.
-
-    Raises ValueError when its QoS profiles cannot be read.
-    """
-    profiles = from_yaml(channel.metadata.get('offered_qos_profiles', '')) or []
-    if not (isinstance(profiles, list) and all(isinstance(each, dict) for each in profiles)):
-        raise ValueError('QoS profiles must be a list of maps')
+    """Return a topic by its records in a data file; its messages are not counted."""
+    profiles = offered_profiles(channel, strict=False)
     type_hash = channel.metadata.get('topic_type_hash', '')
-    return TopicInformation(
-        channel.topic, schema.name, [_named(each) for each in profiles], type_hash
-    )
+    return TopicInformation(channel.topic, schema.name, profiles, type_hash)
+
+
+def offered_profiles(channel: Channel, strict: bool = True) -> list[dict[str, Any]]:
+    """Return the QoS profiles of a topic, with policies by name.
+
+    When they cannot be read: raises ValueError, or returns none if not `strict`.
+    """
+    try:
+        profiles = from_yaml(channel.metadata.get(PROFILES_KEY, '')) or []
+        if not (isinstance(profiles, list) and all(isinstance(each, dict) for each in profiles)):
+            raise ValueError('QoS profiles must be a list of maps')
+    except ValueError:
+        if strict:
+            raise
+        return []
+    return [_named(profile) for profile in profiles]
 
 
 def _named(profile: dict[str, Any]) -> dict[str, Any]:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading a recorded run back, without rclpy: `read_run(bag)`.
 
 It reads our bags and those of a stock `ros2 bag record`, mcap or sqlite3.
@@ -20,9 +21,9 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
 from rosbags.typesys import get_typestore, Stores
 
+from ..point_cloud import points
 from .inspection import inspect
 from .metadata import advice, read_metadata
-from .point_cloud import points
 from .recorded_run import Array, RecordedRun, Replan, Topic
 
 PLAN_STATUS = 'controller: plan'

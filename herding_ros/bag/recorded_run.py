@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What was recorded of a run, as arrays."""
 
 from __future__ import annotations

@@ -33,9 +33,9 @@ from std_msgs.msg import ColorRGBA, Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
-from herding_ros.bag.point_cloud import points
 from herding_ros.control.plan import Plan
 from herding_ros.model.state import Array
+from herding_ros.point_cloud import points
 
 from .refusals import Refused
 from .wire import Reader, seconds_and_rest, Template

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags read back into the arrays they were made of, whatever is missing or odd in them."""
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from herding_ros.bag.point_cloud import points
 from herding_ros.bag.reader import read_run
 from herding_ros.bag.writer import BagWriter
+from herding_ros.point_cloud import points
 
 PERIOD_NS = 100_000_000
 PARAMETERS = {'/controller': {'goal': [0.5, -0.25]}, '/sim': {'seed': 3}}
@@ -311,9 +312,7 @@ def test_changing_flock_is_told(tmp_path: Path, run_recorder: Any) -> None:
         read_run(tmp_path / 'bag')
 
 
-def test_damaged_bag_is_refused(
-    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
-) -> None:
+def test_damaged_bag_is_refused(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
     with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
         write(recorder, arrays)
     file = tmp_path / 'bag' / 'bag_0.mcap'

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Our bags, read by others: the mcap reader, rosbags, YAML 1.2 as yaml-cpp understands it."""
 
 from __future__ import annotations

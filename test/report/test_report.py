@@ -208,7 +208,7 @@ def test_program_says_what_it_cannot_read(
     tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([str(tmp_path / 'nothing')]) == 2
-    assert 'nothing is no bag' in capsys.readouterr().err
+    assert 'nothing is not a bag' in capsys.readouterr().err
     with run_recorder(tmp_path / 'bag') as recorder:
         recorder.goal(0, (0, 0))
     assert main([str(tmp_path / 'bag')]) == 2
