@@ -214,7 +214,7 @@ def test_studies_draw_whatever_is_there(
 
 
 @pytest.mark.parametrize('name', STUDIES)
-def test_tasks_are_told_apart_and_repeat(name: str) -> None:
+def test_tasks_are_distinct_and_repeat(name: str) -> None:
     tasks = STUDIES[name].tasks(Options())
     again = STUDIES[name].tasks(Options())
     assert len({task.key for task in tasks}) == len(tasks)

@@ -29,7 +29,7 @@ def result_of(task: Task) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def test_page_tells_guides_from_dogs_and_from_nobody(tmp_path: Path) -> None:
+def test_page_distinguishes_guides_dogs_and_nobody(tmp_path: Path) -> None:
     tasks = evacuation.tasks(Options(seeds=3))
     found = [(task, json.loads(json.dumps(result_of(task)))) for task in tasks]
     section = evacuation.draw(Results(found), tmp_path)
