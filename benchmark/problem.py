@@ -15,8 +15,9 @@ from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
 from herding_ros.control.reference import reference
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.expectation import mean_centre
 from herding_ros.model.noise import noise_paths, NoisePaths
+from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array
 
@@ -79,12 +80,11 @@ class Problem:
         rng = np.random.default_rng(2)
         return noise_paths(rng, self.coarse.crowd, self.sheep, DT, self.steps, paths)
 
-    def expected_positions(self, noise: NoisePaths, threads: int | None = None) -> Array:
-        """Return our mean positions (K+1, N, 2) [m]."""
+    def mean_centre(self, noise: NoisePaths, threads: int | None = None) -> Array:
+        """Return our mean of the sheep's centre (K+1, 2) [m]."""
         coarse = self.coarse
-        return expected_positions(
-            coarse.crowd, coarse.state, self.u, coarse.dt, coarse.substeps, noise, threads
-        )
+        fine = FineModel(coarse.crowd, coarse.state, coarse.dt, self.steps, coarse.substeps)
+        return mean_centre(fine, self.u, noise, threads)
 
     def noise_array(self, noise: NoisePaths) -> Array:
         """Return the same noise (paths, K, 2, N) [m/s] as one plain array, for the peers."""

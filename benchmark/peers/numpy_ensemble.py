@@ -45,11 +45,11 @@ class _Forces:
         return np.stack([dx.sum(2), dy.sum(2)])
 
 
-def expected_positions(problem: Problem, noise: Array) -> Array:
-    """Mean positions (K+1, N, 2) [m] over the paths of noise (paths, K, 2, N) [m/s]."""
+def mean_centre(problem: Problem, noise: Array) -> Array:
+    """Mean of the sheep's centre (K+1, 2) [m] over the paths of noise (paths, K, 2, N) [m/s]."""
     coarse, n = problem.coarse, problem.sheep
     crowd, dt = coarse.crowd, coarse.dt
-    total = np.zeros((problem.steps + 1, 2, n))
+    total = np.zeros((problem.steps + 1, 2))
     at_once = min(max(_PAIRS // n**2, 1), len(noise))
     for first in range(0, len(noise), at_once):
         of_paths = noise[first : first + at_once].transpose(1, 2, 0, 3)
@@ -60,10 +60,10 @@ def expected_positions(problem: Problem, noise: Array) -> Array:
         v = np.repeat(coarse.state.v.T[:, None], paths, axis=1)
         d = coarse.state.d.T[:, None].copy()
         for k in range(problem.steps):
-            total[k] += x.sum(1)
+            total[k] += x.sum((1, 2))
             force = force_of_flock(x, x) / n + force_of_dogs(x, d) + crowd.friction * v
             x += dt * v
             v += of_paths[k] - dt * force
             d += dt * problem.u[k // coarse.substeps].T[:, None]
-        total[-1] += x.sum(1)
-    return total.transpose(0, 2, 1) / len(noise)
+        total[-1] += x.sum((1, 2))
+    return total / (len(noise) * n)

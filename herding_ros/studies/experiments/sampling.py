@@ -12,11 +12,10 @@ from herding_ros.control.parameters import PAPER
 from herding_ros.model.expectation import ExpectedCentre, Noise
 from herding_ros.model.sampling import (
     alone,
-    Estimator,
     ESTIMATORS,
     FineModel,
     free,
-    linear,
+    MonteCarloEstimator,
     Resolution,
 )
 from herding_ros.model.warmup import warm_up, warm_up_others
@@ -30,15 +29,14 @@ def _with_halves(fine: FineModel) -> tuple[Resolution, ...]:
 
 COMPARED = {
     'plain': ESTIMATORS['plain'],
-    'antithetic': Estimator(antithetic=True),
-    'free': Estimator(variate=free),
-    'linear': Estimator(variate=linear),
-    'two steps': Estimator(lambda _: (Resolution(longer=2), Resolution()), free),
-    'three steps': Estimator(
+    'antithetic': MonteCarloEstimator(antithetic=True),
+    'free': MonteCarloEstimator(variate=free),
+    'two steps': MonteCarloEstimator(lambda _: (Resolution(longer=2), Resolution()), free),
+    'three steps': MonteCarloEstimator(
         lambda _: (Resolution(longer=4), Resolution(longer=2), Resolution()), free
     ),
-    'halves': Estimator(_with_halves, free),
-    'single': Estimator(ESTIMATORS['multilevel'].chain, free),
+    'halves': MonteCarloEstimator(_with_halves, free),
+    'single': MonteCarloEstimator(ESTIMATORS['multilevel'].chain, free),
     'multilevel': ESTIMATORS['multilevel'],
 }
 _UNLIMITED = 10**6
