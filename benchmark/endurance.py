@@ -28,9 +28,11 @@ from rich.console import Console
 from rosbags.highlevel import AnyReader
 
 from herding_ros.bag.metadata import read_metadata
+from herding_ros.control.lead import lead_at
 from herding_ros.control.parameters import Horizon
-from herding_ros.nodes.herd import Child, lead_at, Watcher
+from herding_ros.nodes.progress import Watcher
 from herding_ros.nodes.running import start_ros
+from herding_ros.nodes.supervision import Child
 from herding_ros.report.style import legend, new, save
 
 WARM_UP = 0.1
@@ -115,7 +117,7 @@ def endure(
             executor.spin_once(timeout_sec=0.1)
             dead = [child for child in children if child.process.poll() is not None]
             if dead:
-                raise RuntimeError(f'{dead[0].name} died:\n{dead[0].last_words()}')
+                raise RuntimeError(f'{dead[0].name} died:\n{dead[0].last_lines()}')
             now = time.monotonic()
             if now < sampled + _SAMPLE_PERIOD or not watcher.sim:
                 continue

@@ -32,10 +32,12 @@ from ..bag.definitions import message_definition
 from ..bag.metadata import advice
 from ..bag.part import LAST_TIME_NS
 from ..bag.writer import BagWriter
+from .herding_node import HerdingNode
 from .parameter_query import ParameterQuery
-from .parameters import HerdingNode
+from .publishing import CLOCK
 from .refusals import Refused
-from .running import CLOCK, ignore_signals, start_ros
+from .running import start_ros
+from .signals import ignore_signals
 from .tap import Received, Tap
 from .topic_qos import adapted_qos, asks_more, qos_map
 from .wire import Reader

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from herding_ros.nodes import rivals
+from herding_ros.nodes import duplicates
 from herding_ros.nodes.running import CannotGoOnError
 
 BLIND = Path(__file__).with_name('blind.py')
@@ -70,13 +70,13 @@ def test_of_two_active_ones_the_first_stays(
 ) -> None:
     one = start(name, **SMALL[name])
     peer.spin_until(is_active(peer, name))
-    peer.spin_for(rivals.CLAIM + 1.0)
+    peer.spin_for(duplicates.CLAIM + 1.0)
     other = start(name, name, program=BLIND, **SMALL[name])
     peer.spin_until(lambda: other.process.poll() is not None)
     assert other.wait() == 2
     assert f'ending: node /{name} publishes /{SOLE_TOPIC[name]} as well' in other.log
     assert 'Traceback' not in other.log
-    peer.spin_for(2.0 * rivals.CLAIM)
+    peer.spin_for(2.0 * duplicates.CLAIM)
     assert one.process.poll() is None, one.log
     assert peer.node.count_publishers(MOVES[name]) == 1
 
@@ -93,7 +93,7 @@ def test_of_two_that_start_together_one_stays(
     assert gone.wait() == 2, gone.log
     assert f'publishes /{SOLE_TOPIC[name]} {"as well" if program else ""}' in gone.log
     peer.spin_until(is_active(peer, name))
-    peer.spin_for(3.0 * rivals.CLAIM)
+    peer.spin_for(3.0 * duplicates.CLAIM)
     assert stays.process.poll() is None, stays.log
     assert peer.node.count_publishers(MOVES[name]) == 1
 
@@ -148,20 +148,20 @@ class Clockwork:
 def test_who_was_first_waits_longest(
     monkeypatch: pytest.MonkeyPatch, rival: list[int], begin: float, patience: int
 ) -> None:
-    """No two rivals have the same patience, so that one of them always stays."""
+    """No two duplicates have the same patience, so that one of them always stays."""
     world = Clockwork(rival, begin)
-    monkeypatch.setattr(rivals, 'time', world)
-    watch = rivals._Watch(world, '/plan', [5])  # type: ignore[arg-type]
+    monkeypatch.setattr(duplicates, 'time', world)
+    watch = duplicates._Watch(world, '/plan', [5])  # type: ignore[arg-type]
 
     def look_on() -> None:
         while world.now < 100.0:
-            world.now += rivals.LOOK_PERIOD
-            watch.look()
+            world.now += duplicates.WATCH_PERIOD
+            watch.check()
 
     with pytest.raises(CannotGoOnError):
         look_on()
-    waited = world.now - begin - patience * rivals.CLAIM
-    assert 0.0 < waited <= 2.0 * rivals.LOOK_PERIOD
+    waited = world.now - begin - patience * duplicates.CLAIM
+    assert 0.0 < waited <= 2.0 * duplicates.WATCH_PERIOD
 
 
 def test_second_herd_says_why_it_ends_and_leaves_the_first_alone(
