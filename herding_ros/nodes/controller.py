@@ -36,7 +36,7 @@ from .observations import Observations
 from .parameters import declare
 from .publishing import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, UNWATCHED
 from .running import run
-from .settings import declare_crowd, NodeSettings
+from .settings import declare_control, declare_crowd, NodeSettings
 
 _PATH_SPACING = 0.5
 """Time between two poses of a path [s]."""
@@ -66,7 +66,7 @@ class Controller(HerdingNode):
         super().__init__('controller')
         self._settings = settings = declare(self, ControllerSettings())
         crowd = declare_crowd(self)
-        control = declare(self, Control())
+        control = declare_control(self)
         self._control_period = control.horizon.control_period
         planner = RecedingHorizon(crowd, control, np.array(settings.goal), settings.seed)
         self._pilot: LockstepPilot | RealTimePilot
