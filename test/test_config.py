@@ -44,7 +44,9 @@ def with_values(parameters: Parameters, values: dict[str, Any], prefix: str = ''
 CROWD = {'crowd.preset': 'cohesive', **Crowd().flat('crowd.')}
 NODES: dict[str, dict[str, Any]] = {
     'sim': {**CROWD, **World().flat(), **SimSettings().flat()},
-    'controller': {**CROWD, **Control().flat(), **ControlPreset().flat(), **ControllerSettings().flat()},
+    'controller': {
+        **CROWD, **ControlPreset().flat(), **Control().flat(), **ControllerSettings().flat()
+    },  # fmt: skip
     'recorder': {'bag': '', 'topics': ['']},
 }
 

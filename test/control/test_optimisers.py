@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What both optimisers promise; what is special to one stands in its own file."""
 
 from collections.abc import Callable

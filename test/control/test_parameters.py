@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable
 import dataclasses
 import math
@@ -84,7 +85,5 @@ def test_paper_is_the_papers_own_setting() -> None:
 
 def test_commands_are_as_long_for_the_controller_as_for_the_world() -> None:
     check_lockstep(Horizon(), World(dt=0.02, substeps=5))
-    with pytest.raises(
-        ValueError, match=r'World\.dt .* got 0\.1 s and 0\.05 s'
-    ):
+    with pytest.raises(ValueError, match=r'World\.dt .* got 0\.1 s and 0\.05 s'):
         check_lockstep(Horizon(), World(dt=0.01, substeps=5))
