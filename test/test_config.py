@@ -45,8 +45,11 @@ CROWD = {'crowd.preset': 'cohesive', **Crowd().flat('crowd.')}
 NODES: dict[str, dict[str, Any]] = {
     'sim': {**CROWD, **World().flat(), **SimSettings().flat()},
     'controller': {
-        **CROWD, **ControlPreset().flat(), **Control().flat(), **ControllerSettings().flat()
-    },  # fmt: skip
+        **CROWD,
+        **ControlPreset().flat(),
+        **Control().flat(),
+        **ControllerSettings().flat(),
+    },
     'recorder': {'bag': '', 'topics': ['']},
 }
 
