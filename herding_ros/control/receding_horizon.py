@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.expectation import ExpectedCentre, Noise
+from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.sampling import ESTIMATORS, FineModel
