@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 
+from herding_ros.bag.recorded_run import Replan
 from herding_ros.control.parameters import Control, Horizon, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import Status
@@ -40,6 +41,11 @@ def test_values_are_all_there_is_under_the_names_of_the_fields() -> None:
     assert (values['solve_ms'], values['extraction_ms']) == (1000.0, 125.0)
     for name in names - {'status', 'mapping_status', 'paths', 'mapping_residuals'}:
         assert values[name] == getattr(REPORT, name)
+
+
+def test_a_bag_has_numbers_of_the_report_under_their_names() -> None:
+    names = {field.name for field in dataclasses.fields(Replan)}
+    assert names - {'time', 'number', 'deadline_margin_s'} <= set(REPORT.values())
 
 
 def test_seconds_are_accounted_for() -> None:
