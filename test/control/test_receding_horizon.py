@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from collections.abc import Sequence
 import dataclasses
 from functools import partial
 
@@ -106,13 +107,11 @@ def test_mapping_lowers_the_error_fivefold(seed: int) -> None:
     assert report.mapping_error_after < report.mapping_error_before / 5.0
 
 
-@pytest.mark.parametrize(
-    ('flocks', 'factor'), [(1, 2.0), pytest.param(6, 1.5, marks=pytest.mark.statistics)]
-)
-def test_error_of_the_coarse_plan_is_that_of_the_paper(flocks: int, factor: float) -> None:
+@pytest.mark.parametrize('seeds', [(2,), pytest.param(range(6), marks=pytest.mark.statistics)])
+def test_error_of_the_coarse_plan_is_that_of_the_paper(seeds: Sequence[int]) -> None:
     """The mean over some flocks; the paper has one, whose geometry it does not give."""
     errors: dict[float, list[float]] = {sigma: [] for sigma in TABLE_1}
-    for seed in range(flocks):
+    for seed in seeds:
         state = herd(30, 5, seed)
         window = solved(0.0, without_mapping(PAPER), state)
         for sigma, found in errors.items():
@@ -120,7 +119,7 @@ def test_error_of_the_coarse_plan_is_that_of_the_paper(flocks: int, factor: floa
             centre = expected_centre(sigma, state, window.plan, window.dt, noise)
             found.append(l2(centre - window.centre, window.dt))
     for sigma, published in TABLE_1.items():
-        assert published / factor < np.mean(errors[sigma]) < published * factor
+        assert published / 1.5 < np.mean(errors[sigma]) < published * 1.5
 
 
 @pytest.mark.parametrize('method', ['output', 'aggressive'])
