@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import fields
 import json
 import os
 from pathlib import Path, PurePath
@@ -216,19 +217,10 @@ def _values(status: Any) -> dict[str, str]:
 
 
 def _replan(time: float, number: int, values: dict[str, str]) -> Replan:
-    return Replan(
-        time=time,
-        number=number,
-        status=values.get('status', ''),
-        **{
-            name: float(values.get(name, 'nan'))
-            for name in (
-                *('solve_ms', 'objective', 'gradient_norm'),
-                *('optimiser_iterations', 'optimiser_calls', 'mapping_iterations'),
-                *('mapping_error_before', 'mapping_error_after', 'deadline_margin_s'),
-            )
-        },
-    )
+    """Return what the controller said of a replan; a number's name is that of its field."""
+    status = values.get('status', '')
+    names = {field.name for field in fields(Replan)} - {'time', 'number', 'status'}
+    return Replan(time, number, status, **{n: float(values.get(n, 'nan')) for n in names})
 
 
 def _wall_seconds(reader: AnyReader, topic: str, folder: Path, metadata: dict[str, Any]) -> float:
