@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of the page: times over the number of sheep, log-log."""
 
 from __future__ import annotations
@@ -5,20 +6,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
 import numpy as np
 
 from benchmark.problem import SHEEP
 from benchmark.results import Results
+from herding_ros.report.style import BLUE, COLOURS, legend, new, RED, save
 
-_COLOURS = {'ours': 'tab:red', 'JAX': 'tab:blue', 'CasADi': 'tab:green', 'NumPy': 'tab:purple'}
+_COLOURS = {'ours': RED, 'JAX': BLUE, 'CasADi': COLOURS[2], 'NumPy': COLOURS[3]}
 _LINES = {1: ':', 5: '-', 20: '--'}
 
 
 def draw(results: Results, path: Path) -> None:
     """Write the picture as PNG."""
-    figure = Figure(figsize=(9.0, 4.0), layout='constrained')
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = new(2, 1, width=4.5, height=4.0)
     for dogs, line in _LINES.items():
         for name in ('CasADi', 'JAX', 'ours'):
             points = _points(results, 'value and gradient', name, dogs)
@@ -32,10 +32,8 @@ def draw(results: Results, path: Path) -> None:
         axes.set_xticks(SHEEP, [str(n) for n in SHEEP], minor=False)
         axes.set_xticks([], minor=True)
         axes.set_xlim(8, 1250)
-        axes.grid(which='both', alpha=0.2)
-        if axes.lines:
-            axes.legend(fontsize='x-small')
-    figure.savefig(path, dpi=120, metadata={'Software': None})
+        legend(axes)
+    save(figure, path)
 
 
 def _points(results: Results, what: str, name: str, dogs: int) -> list[tuple[int, float]]:

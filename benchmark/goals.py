@@ -1,4 +1,5 @@
-"""What is aimed at, and how it is read off the results."""
+# SPDX-License-Identifier: Apache-2.0
+"""The goals, and how they are read off the results."""
 
 from __future__ import annotations
 
@@ -7,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmark.results import Results, Spread
+from benchmark.results import Results
+from herding_ros.report import markdown
+from herding_ros.report.statistics import Quartiles
 
 
 def growth(results: Results) -> list[float]:
@@ -28,9 +31,12 @@ def replans(results: Results) -> list[float]:
     return [1e3 * seconds for seconds in times]
 
 
+NOT_MEASURED = 'not measured'
+
+
 @dataclass(frozen=True)
 class Goal:
-    """A number that the median of some measurements has to keep."""
+    """A bound on the median of some measurements."""
 
     text: str
     bound: float
@@ -38,14 +44,16 @@ class Goal:
     unit: str = ''
     at_least: bool = True
 
-    @property
-    def condition(self) -> str:
-        """The bound in signs."""
-        return f'{"≥" if self.at_least else "≤"} {self.bound:g}{self.unit}'
-
-    def reached(self, found: Spread) -> bool:
-        """Whether the median keeps the bound."""
-        return found.median >= self.bound if self.at_least else found.median <= self.bound
+    def judge(self, results: Results) -> markdown.Goal:
+        """Return whether the results reach it."""
+        bound = f'{"≥" if self.at_least else "≤"} {self.bound:g}{self.unit}'
+        values = self.measured(results)
+        if not values:
+            return markdown.Goal(self.text, bound, NOT_MEASURED, None)
+        found = Quartiles.of(values)
+        over = found.median - self.bound
+        reached = over >= 0.0 if self.at_least else over <= 0.0
+        return markdown.Goal(self.text, bound, f'{found}{self.unit}', reached)
 
 
 def _ratio(what: str, **case: object) -> Callable[[Results], list[float]]:

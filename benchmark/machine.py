@@ -1,4 +1,5 @@
-"""Describes the machine that the figures were taken on, without saying whose it is."""
+# SPDX-License-Identifier: Apache-2.0
+"""Describes the machine that the figures were taken on, without its owner."""
 
 from __future__ import annotations
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Peak memory of one case in a process of its own: `python -m benchmark.memory JAX 30 5`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The problems that are measured, and what stands for ours in every comparison."""
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from herding_ros.control.coarse_model import CoarseModel
+from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
@@ -32,7 +34,7 @@ SUBSTEPS = 10
 
 @dataclass(frozen=True)
 class Problem:
-    """A flock, its dogs, a cost and a control at which everybody takes value and gradient.
+    """A flock, its dogs, a cost, and the control at which value and gradient are computed.
 
     The starting positions are those of the package's scenario, the cost has the controller's
     default weights and reference, the control is random within the speed limit.
@@ -67,7 +69,7 @@ class Problem:
     @cached_property
     def objective(self) -> Objective:
         """The cost of a window."""
-        return Objective([self.tracking], Control().weights.control, np.zeros_like(self.u))
+        return Objective([self.tracking, ControlEffort(Control().weights.control)])
 
     def value_and_gradient(self) -> tuple[float, Array]:
         """Return our value, and our gradient in L2(0, T), (intervals, M, 2)."""
@@ -90,7 +92,7 @@ class Problem:
 
     @property
     def interactions(self) -> int:
-        """Forces of one individual on one sheep in a step: from other sheep, and from dogs."""
+        """Number of forces of single sheep and dogs on single sheep in a step."""
         return self.sheep * (self.sheep - 1) + self.sheep * self.dogs
 
     @property

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figures of a run of the benchmark, read from its JSON."""
 
 from __future__ import annotations
@@ -7,31 +8,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from herding_ros.studies.statistics import significant
-
 Entry = dict[str, Any]
-"""What one benchmark recorded: `what` it measured, the case, and its figures."""
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Median and quartiles of repeated measurements."""
-
-    low: float
-    median: float
-    high: float
-
-    @classmethod
-    def of(cls, values: Any) -> Spread:
-        """Take them of any number of values."""
-        return cls(*(float(q) for q in np.percentile(values, [25, 50, 75])))
-
-    def __str__(self) -> str:
-        """Return `median (quartile to quartile)`."""
-        low, median, high = map(significant, (self.low, self.median, self.high))
-        return f'{median} ({low} to {high})'
+"""The record of one benchmark: `what` it measured, the case, and its figures."""
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tables of the page, as Markdown."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
 
-from benchmark.goals import Goal, GOALS
+from benchmark.goals import GOALS, NOT_MEASURED
 from benchmark.memory import IMPLEMENTATIONS
 from benchmark.problem import DOGS, SHEEP
-from benchmark.results import Entry, Results, Spread
-from herding_ros.studies import markdown
-from herding_ros.studies.statistics import significant
-
-NOT_MEASURED = 'not measured'
-
+from benchmark.results import Entry, Results
+from herding_ros.report import markdown
+from herding_ros.report.statistics import Quartiles, significant
 
 table = partial(markdown.table, nothing=NOT_MEASURED)
 
 
-def median(seconds: Sequence[float], per: float) -> str:
+def median(seconds: Sequence[float], per: float) -> float:
     """Return the median in the unit `per` [s]."""
-    return significant(float(np.median(seconds)) / per)
+    return float(np.median(seconds)) / per
 
 
 def by_case(results: Results, what: str) -> list[Entry]:
@@ -31,216 +30,205 @@ def by_case(results: Results, what: str) -> list[Entry]:
 
 
 def goals(results: Results) -> str:
-    """Return the first table: what was aimed at, and what it came to."""
-
-    def row(goal: Goal) -> tuple[str, ...]:
-        values = goal.measured(results)
-        if not values:
-            return goal.text, goal.condition, NOT_MEASURED, ''
-        found = Spread.of(values)
-        reached = 'yes' if goal.reached(found) else '**no**'
-        return goal.text, goal.condition, f'{found}{goal.unit}', reached
-
-    return table(('', 'goal', 'measured', 'reached'), map(row, GOALS))
+    """Return the first table: the goals, and whether they are reached."""
+    return markdown.goals(goal.judge(results) for goal in GOALS)
 
 
 def machine(results: Results) -> str:
-    """Return what the figures were taken on."""
-    return table(('', ''), results.machine.items())
+    """Return the machine on which the figures were taken."""
+    return table({'machine': key, 'value': value} for key, value in results.machine.items())
 
 
 def gradients(results: Results) -> str:
     """Return times of value and gradient, ours and the peers'."""
-
-    def row(entry: Entry) -> tuple[str, ...]:
-        step = 1e-6 * entry['steps']
-        return (
-            str(entry['sheep']),
-            str(entry['dogs']),
-            str(entry['steps']),
-            entry['peer'],
-            median(entry['seconds'], step),
-            median(entry['peer_seconds'], step),
-            str(Spread.of(entry['ratios'])),
-        )
-
-    head = ('N', 'M', 'steps', 'peer', 'ours [µs/step]', 'peer [µs/step]', 'peer / ours')
-    return table(head, map(row, by_case(results, 'value and gradient')))
+    return table(
+        {
+            'N': entry['sheep'],
+            'M': entry['dogs'],
+            'steps': entry['steps'],
+            'peer': entry['peer'],
+            'ours [µs/step]': median(entry['seconds'], 1e-6 * entry['steps']),
+            'peer [µs/step]': median(entry['peer_seconds'], 1e-6 * entry['steps']),
+            'peer / ours': Quartiles.of(entry['ratios']),
+        }
+        for entry in by_case(results, 'value and gradient')
+    )
 
 
 def roofline(results: Results) -> str:
     """Return how near to the roof the kernels are."""
 
-    def row(entry: Entry) -> tuple[str, ...]:
-        million = 1e6 * np.array(entry['seconds'])
-        return (
-            entry['kernel'],
-            str(entry['sheep']),
-            f'{np.median(entry["interactions"] / million):.0f}',
-            f'{np.median(entry["evaluations"] / million):.0f}',
-            str(Spread.of(entry['ratios'])),
-        )
+    def rate(entry: Entry, what: str) -> str:
+        return f'{1e-6 * entry[what] / np.median(entry["seconds"]):.0f}'
 
-    head = ('kernel', 'N', 'interactions [10⁶/s]', 'evaluations [10⁶/s]', 'of the roof')
-    return table(head, map(row, results.of('roofline')))
+    return table(
+        {
+            'kernel': entry['kernel'],
+            'N': entry['sheep'],
+            'interactions [10⁶/s]': rate(entry, 'interactions'),
+            'evaluations [10⁶/s]': rate(entry, 'evaluations'),
+            'of the roof': Quartiles.of(entry['ratios']),
+        }
+        for entry in results.of('roofline')
+    )
 
 
 def ensemble(results: Results) -> str:
     """Return times of an ensemble, ours and NumPy's."""
-
-    def row(entry: Entry) -> tuple[str, ...]:
-        return (
-            str(entry['sheep']),
-            str(entry['dogs']),
-            str(entry['steps']),
-            median(entry['seconds'], 1e-3),
-            median(entry['peer_seconds'], 1e-3),
-            str(Spread.of(entry['ratios'])),
-        )
-
-    head = ('N', 'M', 'steps', 'ours [ms]', 'NumPy [ms]', 'NumPy / ours')
-    return table(head, map(row, by_case(results, 'ensemble')))
+    return table(
+        {
+            'N': entry['sheep'],
+            'M': entry['dogs'],
+            'steps': entry['steps'],
+            'ours [ms]': median(entry['seconds'], 1e-3),
+            'NumPy [ms]': median(entry['peer_seconds'], 1e-3),
+            'NumPy / ours': Quartiles.of(entry['ratios']),
+        }
+        for entry in by_case(results, 'ensemble')
+    )
 
 
 def optimiser(results: Results) -> str:
     """Return time and evaluations until the same objective is reached."""
-
-    def row(entry: Entry) -> tuple[str, ...]:
-        return (
-            str(entry['seed']),
-            median(entry['seconds'], 1e-3),
-            str(entry['calls']),
-            median(entry['peer_seconds'], 1e-3),
-            str(entry['peer_calls']),
-            str(Spread.of(entry['ratios'])),
-        )
-
-    head = ('seed', 'SPG [ms]', 'evaluations', 'L-BFGS-B [ms]', 'evaluations', 'SciPy / ours')
-    return table(head, map(row, results.of('optimiser')))
+    return table(
+        {
+            'seed': entry['seed'],
+            'SPG [ms]': median(entry['seconds'], 1e-3),
+            'evaluations of SPG': entry['calls'],
+            'L-BFGS-B [ms]': median(entry['peer_seconds'], 1e-3),
+            'evaluations of L-BFGS-B': entry['peer_calls'],
+            'SciPy / ours': Quartiles.of(entry['ratios']),
+        }
+        for entry in results.of('optimiser')
+    )
 
 
 def replan(results: Results) -> str:
     """Return the time of a window, and of its phases."""
 
-    def row(entry: Entry) -> tuple[str, ...]:
-        corrections = entry['corrections']
-        return (
-            str(entry['sigma']),
-            entry['window'],
-            'always 3' if entry['thorough'] else f'{min(corrections)} to {max(corrections)}',
-            str(Spread.of(1e3 * np.array(entry['seconds']))),
-            significant(1e3 * max(entry['seconds'])),
-            *(median(entry['phases'][phase], 1e-3) for phase in ('coarse', 'fine', 'extraction')),
-            f'{np.median(entry["calls"]):.0f}',
-            f'{100.0 * np.median(entry["seconds"]) / entry["accepted"]:.1f} %',
-        )
+    def row(entry: Entry) -> dict[str, object]:
+        seconds, phases, corrections = entry['seconds'], entry['phases'], entry['corrections']
+        return {
+            'σ': str(entry['sigma']),
+            'window': entry['window'],
+            'corrections': (
+                'always 3' if entry['thorough'] else f'{min(corrections)} to {max(corrections)}'
+            ),
+            'total [ms]': Quartiles.of(1e3 * np.array(seconds)),
+            'longest [ms]': 1e3 * max(seconds),
+            'coarse solve [ms]': median(phases['coarse'], 1e-3),
+            'Monte Carlo [ms]': median(phases['fine'], 1e-3),
+            'extraction [ms]': median(phases['extraction'], 1e-3),
+            'evaluations': f'{np.median(entry["calls"]):.0f}',
+            'of the time played': f'{100.0 * np.median(seconds) / entry["accepted"]:.1f} %',
+        }
 
-    head = (
-        'σ', 'window', 'corrections', 'total [ms]', 'longest [ms]', 'coarse solve [ms]',
-        'Monte Carlo [ms]', 'extraction [ms]', 'evaluations', 'of the time played',
-    )  # fmt: skip
-    return table(head, map(row, results.of('replan')))
+    return table(map(row, results.of('replan')))
+
+
+def _mesh(entry: Entry) -> dict[str, object]:
+    return {'reach [m]': float(entry['reach']), 'mesh': '{} × {}'.format(*entry['points'])}
 
 
 def forces(results: Results) -> str:
     """Return times and errors of the forces in big flocks, ours on all cores."""
-
-    def row(entry: Entry) -> tuple[str, ...]:
-        return (
-            str(entry['sheep']),
-            f'{entry["error"]:.1e}',
-            significant(entry['reach']),
-            '{} × {}'.format(*entry['points']),
-            median(entry['seconds'], 1e-3),
-        )
-
-    head = ('N', 'error', 'reach [m]', 'mesh', 'one evaluation [ms]')
-    return table(head, map(row, results.of('force')))
+    return table(
+        {
+            'N': entry['sheep'],
+            'error': f'{entry["error"]:.1e}',
+            **_mesh(entry),
+            'one evaluation [ms]': median(entry['seconds'], 1e-3),
+        }
+        for entry in results.of('force')
+    )
 
 
 def direct_forces(results: Results) -> str:
     """Return times of the forces against the direct sum's, one thread each."""
-
-    def row(entry: Entry) -> tuple[str, ...]:
-        return (
-            str(entry['sheep']),
-            f'{entry["accuracy"]:g}',
-            f'{entry["error"]:.1e}',
-            significant(entry['reach']),
-            '{} × {}'.format(*entry['points']),
-            median(entry['seconds'], 1e-3),
-            median(entry['peer_seconds'], 1e-3),
-            str(Spread.of(entry['ratios'])),
-        )
-
-    head = (
-        'N', 'wanted', 'error', 'reach [m]', 'mesh', 'ours [ms]', 'direct [ms]', 'direct / ours',
-    )  # fmt: skip
-    return table(head, map(row, results.of('force against direct')))
+    return table(
+        {
+            'N': entry['sheep'],
+            'wanted': f'{entry["accuracy"]:g}',
+            'error': f'{entry["error"]:.1e}',
+            **_mesh(entry),
+            'ours [ms]': median(entry['seconds'], 1e-3),
+            'direct [ms]': median(entry['peer_seconds'], 1e-3),
+            'direct / ours': Quartiles.of(entry['ratios']),
+        }
+        for entry in results.of('force against direct')
+    )
 
 
 def crossover(results: Results) -> str:
     """Return times of a rollout with direct sums over those with a plan."""
-
-    def row(entry: Entry) -> tuple[str, ...]:
-        return str(entry['sheep']), str(Spread.of(entry['ratios']))
-
-    return table(('N', 'direct / planned'), map(row, results.of('crossover')))
+    return table(
+        {'N': entry['sheep'], 'direct / planned': Quartiles.of(entry['ratios'])}
+        for entry in results.of('crossover')
+    )
 
 
 def steps(results: Results) -> str:
     """Return the time of a step over the number of sheep."""
-
-    def row(entry: Entry) -> tuple[str, ...]:
-        return str(entry['sheep']), str(Spread.of(1e3 * np.array(entry['seconds'])))
-
-    return table(('N', 'a step [ms]'), map(row, results.of('step')))
+    return table(
+        {'N': entry['sheep'], 'a step [ms]': Quartiles.of(1e3 * np.array(entry['seconds']))}
+        for entry in results.of('step')
+    )
 
 
 def jitter(results: Results) -> str:
-    """Return how far the time between two commands is from the control period."""
-
-    def row(entry: Entry) -> tuple[str, ...]:
-        times = (entry[key] for key in ('period_ms', 'p50_ms', 'p99_ms', 'max_ms'))
-        counts = (str(entry['plans']), str(entry['missed']))
-        return (str(entry['factor']), f'{entry["simulated"]:g}', *map(significant, times), *counts)
-
-    head = ('times real time', 'simulated s', 'control period [ms]', 'p50 [ms]', 'p99 [ms]')
+    """Return the deviation of the time between two commands from the control period."""
     return table(
-        (*head, 'largest [ms]', 'plans', 'deadlines missed'), map(row, results.of('jitter'))
+        {
+            'times real time': entry['factor'],
+            'simulated s': f'{entry["simulated"]:g}',
+            'control period [ms]': float(entry['period_ms']),
+            'p50 [ms]': float(entry['p50_ms']),
+            'p99 [ms]': float(entry['p99_ms']),
+            'largest [ms]': float(entry['max_ms']),
+            'plans': entry['plans'],
+            'deadlines missed': entry['missed'],
+        }
+        for entry in results.of('jitter')
     )
 
 
 def herd(results: Results) -> str:
     """Return the runs of the whole system."""
-    columns = 'simulated', 'wall', 'solving', 'factors', 'without_solving', 'seconds'
-    rows = [
-        (
-            f'{entry["herded"]:,}', str(entry['dogs']), *map(significant, run),
-            f'{entry["peak"]:.0f}',
-        )
-        for entry in results.of('herd')
-        for run in zip(*(entry[column] for column in columns), strict=True)
-    ]  # fmt: skip
+    columns = {
+        'simulated [s]': 'simulated',
+        'wall [s]': 'wall',
+        'of it replans [s]': 'solving',
+        'simulated / wall': 'factors',
+        'without replans': 'without_solving',
+        'with start and report [s]': 'seconds',
+    }
     return table(
-        (
-            'N', 'M', 'simulated [s]', 'wall [s]', 'of it replans [s]', 'simulated / wall',
-            'without replans', 'with start and report [s]', 'largest process [MiB]',
-        ),
-        rows,
-    )  # fmt: skip
+        {
+            'N': f'{entry["herded"]:,}',
+            'M': entry['dogs'],
+            **{head: significant(entry[key][run]) for head, key in columns.items()},
+            'largest process [MiB]': f'{entry["peak"]:.0f}',
+        }
+        for entry in results.of('herd')
+        for run in range(len(entry['seconds']))
+    )
 
 
 def memory(results: Results) -> str:
     """Return the peaks of all cases."""
 
-    def cell(implementation: str, sheep: int, dogs: int) -> str:
-        found = results.of('memory', implementation=implementation, sheep=sheep, dogs=dogs)
+    def cell(**case: object) -> str:
+        found = results.of('memory', **case)
         return f'{found[0]["peak"]:.0f} ({found[0]["before"]:.0f})' if found else ''
 
-    rows = (
-        (str(n), str(m), *(cell(name, n, m) for name in IMPLEMENTATIONS))
-        for n in SHEEP
-        for m in DOGS
+    return table(
+        {'N': n, 'M': m, **cells}
+        for n, m in product(SHEEP, DOGS)
+        if any(
+            (
+                cells := {
+                    name: cell(implementation=name, sheep=n, dogs=m) for name in IMPLEMENTATIONS
+                }
+            ).values()
+        )
     )
-    return table(('N', 'M', *IMPLEMENTATIONS), (row for row in rows if any(row[2:])))

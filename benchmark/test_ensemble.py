@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The mean of an ensemble: ours and plain NumPy."""
 
 from __future__ import annotations

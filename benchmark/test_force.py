@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Big flocks: the particle mesh against the direct sum, and how a step grows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole system: three processes in lockstep, as `scripts/herd` starts them."""
 
 from __future__ import annotations

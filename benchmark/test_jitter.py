@@ -1,4 +1,5 @@
-"""How regularly commands come while the controller keeps its own time and plans beside."""
+# SPDX-License-Identifier: Apache-2.0
+"""Regularity of commands while the controller keeps its own time and plans in the background."""
 
 from __future__ import annotations
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The coarse problem of the first window: our SPG and SciPy's L-BFGS-B, with our gradient."""
 
 from __future__ import annotations
@@ -9,10 +10,11 @@ import pytest
 
 from benchmark.peers import scipy_lbfgsb
 from herding_ros.control.coarse_model import CoarseModel
-from herding_ros.control.objective import Objective
+from herding_ros.control.costs.control_effort import ControlEffort
+from herding_ros.control.objective import Objective, weighted_costs
 from herding_ros.control.parameters import Control
 from herding_ros.control.reference import reference
-from herding_ros.control.solution import ValueAndGradient
+from herding_ros.control.solution import Budget, Problem
 from herding_ros.control.spg import spg
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.scenario import GOAL
@@ -24,7 +26,7 @@ NEAR = 1e-4
 
 
 class _ReachedError(Exception):
-    """The objective is as low as wanted."""
+    """The objective has reached the target."""
 
 
 class Race:
@@ -40,9 +42,13 @@ class Race:
         self.start = np.zeros((intervals, len(state.d), 2))
         times = np.arange(intervals * control.horizon.substeps + 1.0) * control.horizon.dt
         wanted = reference(control.reference, state, goal, times)
-        self.objective = Objective.weighted(control.weights, wanted, self.start)
+        self.objective = Objective(
+            [*weighted_costs(control.weights, wanted), ControlEffort(control.weights.control)]
+        )
         self.target = -np.inf
-        best = spg(*self._problem(), control.optimiser.tolerance, control.optimiser.max_iterations)
+        optimiser = control.optimiser
+        budget = Budget(optimiser.max_iterations, optimiser.tolerance)
+        best = spg(self._problem(), self.start, budget)
         self.target = best.value * (1.0 + NEAR)
 
     def value_and_gradient(self, u: Array) -> tuple[float, Array]:
@@ -53,15 +59,15 @@ class Race:
             raise _ReachedError
         return value, gradient
 
-    def _problem(self) -> tuple[ValueAndGradient, Callable[[Array], Array], Array, Callable]:
-        return self.value_and_gradient, self._admissible, self.start, self.coarse.inner
+    def _problem(self) -> Problem:
+        return Problem(self.value_and_gradient, self._admissible, self.coarse.inner)
 
     def _admissible(self, u: Array) -> Array:
         return self.control.motion.project(u, self.control.max_speed)
 
     def ours(self) -> int:
         """Run SPG; return the number of values and gradients that it took."""
-        return self._run(lambda: spg(*self._problem(), 0.0, 1000))
+        return self._run(lambda: spg(self._problem(), self.start, Budget(1000)))
 
     def scipy(self) -> int:
         """Run L-BFGS-B; return the number of values and gradients that it took."""

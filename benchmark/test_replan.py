@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A whole replan: coarse solve, mapping, Monte Carlo with 100 paths, a horizon of 20 s."""
 
 from __future__ import annotations
@@ -11,15 +12,16 @@ import numpy as np
 import pytest
 
 from herding_ros.control.parameters import Control, Mapping
-from herding_ros.control.receding_horizon import RecedingHorizon, SolveReport
+from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import HerdState
 
 SEEDS = range(5)
-THOROUGH = Control(mapping=Mapping(accuracy=1e-9))
-"""An accuracy that is never met: all corrections are made."""
+THOROUGH = Control(mapping=Mapping(tolerance=0.0))
+"""All corrections are made."""
 
 
 @cache

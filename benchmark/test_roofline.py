@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The kernels, one core, against a bare loop of the same exponentials and square roots."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
 import json
@@ -16,7 +17,7 @@ from benchmark import report  # noqa: E402
 from benchmark.memory import resident  # noqa: E402
 from benchmark.peers import numpy_ensemble, scipy_lbfgsb  # noqa: E402
 from benchmark.problem import Problem  # noqa: E402
-from benchmark.results import Results, Spread  # noqa: E402
+from benchmark.results import Results  # noqa: E402
 
 
 def test_numpy_has_the_same_ensemble() -> None:
@@ -94,10 +95,6 @@ def test_the_page_keeps_what_others_wrote(results: Results, tmp_path: Path) -> N
     )
     with pytest.raises(ValueError, match='not both'):
         report.put(once.replace('end', ''), report.SECTION, 'text')
-
-
-def test_spread_is_shown_with_three_digits_and_quartiles() -> None:
-    assert str(Spread.of([0.01234, 12345.6, 3.14159, 2.0, 4.0])) == '3.14 (2.00 to 4.00)'
 
 
 def test_peak_memory_counts_what_was_there_for_a_moment() -> None:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The coarse problem with SciPy's L-BFGS-B and our value and gradient.
 
 L-BFGS-B knows boxes, but the admissible velocities of a dog form a disc. (SLSQP knows discs, but

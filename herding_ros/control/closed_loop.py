@@ -13,9 +13,10 @@ from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, finite, HerdState
 
 from .costs.cost import Cost
-from .parameters import Control
+from .parameters import check_lockstep, Control
 from .pilot import LockstepPilot, Observed
-from .receding_horizon import RecedingHorizon, SolveReport
+from .receding_horizon import RecedingHorizon
+from .solve_report import SolveReport
 
 Policy = Callable[[HerdState, float], Array]
 """From the observed state and the time [s] to the dogs' velocities (M, 2) [m/s]."""
@@ -95,8 +96,10 @@ def closed_loop(
 
     Observation noise, control period and all random numbers are those of the ROS graph in
     lockstep, and so is the result, bit for bit. The controller minimises `costs` as well as
-    those that control.weights ask for.
+    those that control.weights ask for. Raises ValueError if it counts on commands of another
+    length than those of the world.
     """
+    check_lockstep(control.horizon, world)
     simulation = Simulation(crowd, world, finite('goal', goal, (2,)))
     planner = RecedingHorizon(crowd, control, simulation.goal, world.seed, costs)
     reports: list[SolveReport] = []

@@ -17,7 +17,7 @@ from herding_ros.model.linear_algebra import times, transposed_times
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.state import Array, HerdState, Trajectory
 
-from .objective import Objective
+from .costs.cost import Cost, Derivatives
 
 
 @dataclass(frozen=True)
@@ -59,18 +59,34 @@ class CoarseModel:
         """L2(0, T) inner product of two controls."""
         return self.interval * float((a * b).sum())
 
-    def value_and_gradient(self, objective: Objective, u: Array) -> tuple[float, Array]:
-        """Return the reduced cost at u and its gradient in L2(0, T), same shape as u.
+    def dogs(self, u: Array) -> Array:
+        """Return the states of the dogs under u, (K+1, S, M); it takes no rollout of sheep."""
+        return self.motion.rollout(self.state.d, u, self.dt, self.substeps)
 
-        The gradient is exact for the discrete problem: gamma (u - u_ref) + nu, with nu from
-        the reverse sweeps of sheep and dogs through their schemes (nu is -xi_3 of the paper), and
-        the gradient of the dogs' own cost, which needs no sweep.
-        """
+    def value_and_gradient(self, cost: Cost, u: Array) -> tuple[float, Array]:
+        """Return the reduced cost at u and its gradient in L2(0, T), same shape as u."""
         trajectory = self.rollout(u)
-        value, source, direct = objective.value_and_derivatives(trajectory, u, self.interval)
-        dogs = reverse_sweep(self.crowd, trajectory, source)
-        gradient = self.transpose(trajectory, u, dogs)
-        return value, gradient / self.interval + direct
+        value, by = cost.value_and_derivatives(trajectory, u)
+        return value, self.gradient(trajectory, u, by)
+
+    def gradient(self, trajectory: Trajectory, u: Array, by: Derivatives) -> Array:
+        """Return the gradient in L2(0, T) of a cost with these partial derivatives.
+
+        It is exact for the discrete problem. The reverse sweep of the sheep turns the derivative
+        with respect to them into one with respect to the dogs, and the transpose of the dogs'
+        motion turns that, and the cost's own, into one with respect to u (-xi_3 of the paper).
+        """
+        source = None if by.d is None else by.d / self.dt
+        if by.x is not None:
+            from_sheep = reverse_sweep(self.crowd, trajectory, by.x)
+            if source is None:
+                source = from_sheep
+            else:
+                source[:, :2] += from_sheep
+        if source is None:
+            return np.zeros_like(u) if by.u is None else by.u
+        gradient = self.transpose(trajectory, u, source) / self.interval
+        return gradient if by.u is None else gradient + by.u
 
     def centre_sensitivity(self, u: Array, every: int) -> CentreSensitivity:
         """Return the derivative of the sheep's centre at u, at every so many-th step.

@@ -1,8 +1,10 @@
-"""Nonlinear least squares over a convex set."""
+# SPDX-License-Identifier: Apache-2.0
+"""Regularised nonlinear least squares over a convex set."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 import math
 from typing import Protocol
 
@@ -10,20 +12,10 @@ import numpy as np
 
 from herding_ros.model.state import Array
 
-from .solution import (
-    criticality,
-    InnerProduct,
-    never,
-    OutOfTime,
-    Projection,
-    Solution,
-    Status,
-    ValueAndGradient,
-)
+from .solution import Budget, criticality, Problem, Solution, Status, ValueAndGradient
 from .spg import spg
 
-_INNER_TOLERANCE = 1e-5
-_INNER_ITERATIONS = 100
+_INNER = Budget(max_iterations=100, tolerance=1e-5)
 
 
 class Linearisation(Protocol):
@@ -39,61 +31,58 @@ class Linearisation(Protocol):
 def gauss_newton(
     residual: Callable[[Array], Array],
     linearise: Callable[[Array], Linearisation],
-    anchor: Array,
-    weight: float,
-    project: Projection,
+    regulariser: Problem,
     start: Array,
-    inner: InnerProduct,
-    tolerance: float,
-    max_iterations: int,
-    out_of_time: OutOfTime = never,
+    budget: Budget,
 ) -> Solution:
-    """Minimise |residual(u)|^2 / 2 + weight / 2 |u - anchor|^2 over a convex set.
+    """Minimise |residual(u)|^2 / 2 + R(u) over a convex set.
 
-    Each iteration replaces the residual by r(u_k) + S (u - u_k), with S = linearise(u_k), and
-    minimises that over the set by `spg`, which costs no residual. Converged when a step is at
-    most `tolerance` long; ends when the value does not decrease any more. `Solution.calls`
-    counts residuals. Where the residual can be made small, S may be one for all u, made once.
+    The regulariser's problem is R alone, over that set. Each iteration replaces the residual by
+    r(u_k) + S (u - u_k), with S = linearise(u_k), and minimises that plus R, as it is, by `spg`,
+    which costs no residual. Converged when a step is at most the tolerance long; ends when the
+    value does not decrease any more. `Solution.calls` counts residuals. Where the residual can
+    be made small, S may be one for all u, made once.
     """
+    project, inner = regulariser.project, regulariser.inner
     u = project(start)
     r = residual(u)
-    value = _value(r, u, anchor, weight, inner)
+    value = _square(r) + regulariser.value_and_gradient(u)[0]
     status = Status.ITERATION_LIMIT
     iterations = 0
-    while iterations < max_iterations:
-        if out_of_time():
+    while iterations < budget.max_iterations:
+        if budget.out_of_time():
             status = Status.OUT_OF_TIME
             break
         iterations += 1
-        model = _linear_model(r, linearise(u), u, anchor, weight, inner)
-        trial = spg(model, project, u, inner, _INNER_TOLERANCE, _INNER_ITERATIONS).u
+        model = _linear_model(r, linearise(u), u, regulariser.value_and_gradient)
+        trial = spg(replace(regulariser, value_and_gradient=model), u, _INNER).u
         trial_residual = residual(trial)
-        trial_value = _value(trial_residual, trial, anchor, weight, inner)
+        trial_value = _square(trial_residual) + regulariser.value_and_gradient(trial)[0]
         if trial_value >= value:
             status = Status.STAGNATED
             break
         step = trial - u
         u, r, value = trial, trial_residual, trial_value
-        if math.sqrt(inner(step, step)) <= tolerance:
+        if math.sqrt(inner(step, step)) <= budget.tolerance:
             status = Status.CONVERGED
             break
-    gradient = linearise(u).transposed(r) + weight * (u - anchor)
-    distance = criticality(project, u, gradient, inner)
+    gradient = linearise(u).transposed(r) + regulariser.value_and_gradient(u)[1]
+    distance = criticality(regulariser, u, gradient)
     return Solution(u, value, distance, status, iterations, iterations + 1)
 
 
 def _linear_model(
-    r: Array, s: Linearisation, u: Array, anchor: Array, weight: float, inner: InnerProduct
+    r: Array, s: Linearisation, u: Array, regulariser: ValueAndGradient
 ) -> ValueAndGradient:
-    """Return |r + S (w - u)|^2 / 2 + weight / 2 |w - anchor|^2 as a function of w."""
+    """Return |r + S (w - u)|^2 / 2 + R(w) as a function of w."""
 
     def model(w: Array) -> tuple[float, Array]:
         e = r + s.times(w - u)
-        gradient = s.transposed(e) + weight * (w - anchor)
-        return _value(e, w, anchor, weight, inner), gradient
+        value, gradient = regulariser(w)
+        return _square(e) + value, s.transposed(e) + gradient
 
     return model
 
 
-def _value(r: Array, u: Array, anchor: Array, weight: float, inner: InnerProduct) -> float:
-    return 0.5 * float(np.square(r).sum()) + 0.5 * weight * inner(u - anchor, u - anchor)
+def _square(r: Array) -> float:
+    return 0.5 * float(np.square(r).sum())

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Projected nonlinear conjugate gradient with the Armijo rule (paper, Algorithm 2)."""
 
 from __future__ import annotations
@@ -6,36 +7,20 @@ import math
 
 from herding_ros.model.state import Array
 
-from .solution import (
-    criticality,
-    InnerProduct,
-    never,
-    OutOfTime,
-    Projection,
-    Solution,
-    Status,
-    ValueAndGradient,
-)
+from .solution import Budget, criticality, Problem, Solution, Status
 
 _SUFFICIENT_DECREASE = 1e-4
 _BACKTRACKS = 40
 
 
-def ncg(
-    value_and_gradient: ValueAndGradient,
-    project: Projection,
-    start: Array,
-    inner: InnerProduct,
-    tolerance: float,
-    max_iterations: int,
-    out_of_time: OutOfTime = never,
-) -> Solution:
+def ncg(problem: Problem, start: Array, budget: Budget) -> Solution:
     """Minimise over a convex set, given the projection onto it.
 
     Conjugate directions by Polak and Ribiere (restarted when negative or uphill), step size
     s by halving until f(P(u + s d)) <= f(u) - c/s |P(u + s d) - u|^2 (Armijo rule along the
-    projection arc). Stops, as the paper does, when a step is at most `tolerance` long.
+    projection arc). Stops, as the paper does, when a step is at most the tolerance long.
     """
+    value_and_gradient, project, inner = problem.value_and_gradient, problem.project, problem.inner
     u = project(start)
     value, gradient = value_and_gradient(u)
     calls = 1
@@ -45,8 +30,8 @@ def ncg(
     iterations = 0
     if inner(gradient, gradient) == 0.0:
         return Solution(u, value, 0.0, Status.CONVERGED, iterations, calls)
-    while iterations < max_iterations:
-        if out_of_time():
+    while iterations < budget.max_iterations:
+        if budget.out_of_time():
             status = Status.OUT_OF_TIME
             break
         for _ in range(_BACKTRACKS):
@@ -67,12 +52,12 @@ def ncg(
         iterations += 1
         beta = inner(trial_gradient, trial_gradient - gradient) / inner(gradient, gradient)
         u, value, gradient = trial, trial_value, trial_gradient
-        if length <= tolerance:
+        if length <= budget.tolerance:
             status = Status.CONVERGED
             break
         direction = -gradient + max(beta, 0.0) * direction
         if inner(direction, gradient) >= 0.0:
             direction = -gradient
         size *= 2.0
-    distance = criticality(project, u, gradient, inner)
+    distance = criticality(problem, u, gradient)
     return Solution(u, value, distance, status, iterations, calls)

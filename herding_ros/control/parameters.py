@@ -1,24 +1,34 @@
-"""What one can turn in the controller."""
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the controller."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
+
+if TYPE_CHECKING:
+    from herding_ros.model.simulation import World
 
 
 @dataclass(frozen=True)
 class Weights(Parameters):
     """What the cost weighs; the paper's are 1, 1, 1e-2 and 0."""
 
-    centre: float = quantity(3.0, "weight of the centre's distance from its reference", low=0.0)
-    spread: float = quantity(3.0, "weight of the sheep's distance from their centre", low=0.0)
-    control: float = quantity(1e-2, 'weight gamma of the control', 's^2', low=TINY)
+    centre: float = quantity(
+        3.0, "weight of the centre's distance from its reference", low=0.0, live=True
+    )
+    spread: float = quantity(
+        3.0, "weight of the sheep's distance from their centre", low=0.0, live=True
+    )
+    control: float = quantity(1e-2, 'weight gamma of the control', 's^2', low=TINY, live=True)
     dogs: float = quantity(
         3e-3,
         "weight of each dog's distance from the reference; keeps dogs from running off",
         low=0.0,
+        live=True,
     )
     terminal: float = quantity(
         0.0,
@@ -26,11 +36,16 @@ class Weights(Parameters):
         'so long',
         's',
         low=0.0,
+        live=True,
     )
     containment: float = quantity(
-        0.0, 'weight of sheep outside the disc of this radius around the reference', '1/m', low=0.0
+        0.0,
+        'weight of sheep outside the disc of this radius around the reference',
+        '1/m',
+        low=0.0,
+        live=True,
     )
-    radius: float = quantity(0.6, 'radius of that disc', 'm', low=0.0)
+    radius: float = quantity(0.6, 'radius of that disc', 'm', low=0.0, live=True)
 
 
 @dataclass(frozen=True)
@@ -59,8 +74,10 @@ MOST_INTERVALS = 2000
 class Horizon(Parameters):
     """The window that is planned, the part of it that is played, and the time grids."""
 
-    length: float = quantity(20.0, 'time that is planned ahead', 's', low=TINY)
-    accepted: float = quantity(10.0, 'time between two plans, half the length', 's', low=TINY)
+    length: float = quantity(20.0, 'time that is planned ahead', 's', low=TINY, live=True)
+    accepted: float = quantity(
+        10.0, 'time between two plans, half the length', 's', low=TINY, live=True
+    )
     control_period: float = quantity(0.1, 'time for which a command is constant', 's', low=TINY)
     substeps: int = quantity(
         2, 'time steps of the prediction within a control period', low=1, high=1000
@@ -96,6 +113,15 @@ class Horizon(Parameters):
     def dt(self) -> float:
         """Time step of the prediction [s]."""
         return self.control_period / self.substeps
+
+
+def check_lockstep(horizon: Horizon, world: World) -> None:
+    """Raise ValueError unless a command is as long to the controller as to the world."""
+    if abs(horizon.control_period / world.control_period - 1.0) > 1e-6:
+        raise ValueError(
+            'Horizon.control_period must be World.dt * World.substeps, '
+            f'got {horizon.control_period:g} s and {world.control_period:g} s'
+        )
 
 
 @dataclass(frozen=True)
@@ -155,25 +181,11 @@ class Mapping(Parameters):
         high=10_000,
     )
     max_iterations: int = quantity(3, 'most corrections of a plan; 0 plans without noise', low=0)
-    accuracy: float = quantity(
-        1e-3,
-        "output: root mean square of the expected centre's error that is small enough",
-        'm',
-        low=TINY,
-    )
     tolerance: float = quantity(
-        0.3,
-        'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is small enough',
+        1e-3,
+        "output: root mean square of the expected centre's error that is small enough [m]; "
+        'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is; 0 takes all iterations',
         low=0.0,
-    )
-    min_decrease: float = quantity(
-        5e-3, 'aggressive: stop when the residual decreases by less in an iteration'
-    )
-    observable: str = quantity(
-        'centre',
-        'aggressive: what parameter extraction matches to the expected centre, the centre or '
-        '(the paper to the letter) every individual',
-        choices=('centre', 'individuals'),
     )
 
 
@@ -197,9 +209,9 @@ class Sensor(Parameters):
 
 @dataclass(frozen=True)
 class Control(Parameters):
-    """Everything the controller is told besides the crowd."""
+    """All parameters of the controller besides the crowd."""
 
-    max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY)
+    max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY, live=True)
     motion: MotionModel = Holonomic()
     weights: Weights = Weights()
     reference: Reference = Reference()
@@ -214,6 +226,9 @@ PAPER = Control(
     weights=Weights(centre=1.0, spread=1.0, dogs=0.0),
     reference=Reference(kind='interpolated'),
     optimiser=Optimiser(tolerance=5e-3),
-    mapping=Mapping(method='aggressive', estimator='plain', standard_error=0.0),
+    mapping=Mapping('aggressive', 'plain', standard_error=0.0, tolerance=0.3),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""
+
+CONTROLS = {'default': Control(), 'paper': PAPER}
+"""Settings by the name that the controller's parameter `preset` takes."""

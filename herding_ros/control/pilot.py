@@ -23,9 +23,9 @@ from herding_ros.model.state import Array, finite, HerdState
 
 from .estimator import StateEstimator
 from .parameters import Control
-from .receding_horizon import Window
 from .schedule import Request, ScheduledPlan
 from .solution import NoTimeFor
+from .window import Window
 
 SLACK = 1e-6
 """Seconds since 1970 in double precision are exact to 2.4e-7 s."""

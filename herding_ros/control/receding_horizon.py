@@ -1,94 +1,45 @@
-"""One window of the receding horizon: from a measured state to a plan."""
+# SPDX-License-Identifier: Apache-2.0
+"""The receding horizon: window after window, from a measured state to a plan."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-import time
-from typing import TypeVar
 
 import numpy as np
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
+from herding_ros.model.expectation import ExpectedCentre, Noise
 from herding_ros.model.flock import centre
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState
 
-from . import space_mapping
-from .coarse_model import CentreSensitivity, CoarseModel
+from .coarse_model import CoarseModel
+from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
-from .costs.tracking import Tracking
-from .gauss_newton import gauss_newton
 from .ncg import ncg
-from .objective import Objective
+from .objective import Objective, weighted_costs
+from .parameter_extraction import ParameterExtraction
 from .parameters import Control
 from .plan import Plan
 from .reference import reference
-from .solution import never, NoTimeFor, OutOfTime, Solution, Status
-from .space_mapping import EXTRACTION, FINE, MappingResult
+from .solution import Budget, never, NoTimeFor, OutOfTime, Problem, Solution, Status
+from .solve_report import SolveReport, Stopwatch
+from .space_mapping import (
+    aggressive_mapping,
+    EXTRACTION,
+    FINE,
+    MappingProblem,
+    MappingResult,
+    MIN_DECREASE,
+    output_mapping,
+)
 from .spg import spg
-
-_T = TypeVar('_T')
+from .window import Window
 
 OPTIMISERS = {'spg': spg, 'ncg': ncg}
-
-_NODE_SPACING = 0.5
-"""Time between the instants at which parameter extraction compares centres [s].
-
-Sheep answer within 1 / friction = 2 s: a centre moves smoothly in between.
-"""
-_EXTRACTION_TOLERANCE = 1e-4
-_EXTRACTION_ITERATIONS = 5
-
-
-@dataclass(frozen=True)
-class SolveReport:
-    """How a plan was found."""
-
-    status: Status
-    """Of the coarse solve; a solve that did not converge is a status, not an error."""
-    objective: float
-    gradient_norm: float
-    optimiser_iterations: int
-    optimiser_calls: int
-    """Evaluations of value and gradient in the coarse solve, on both time grids."""
-    fine_calls: int
-    """Monte Carlo evaluations of the fine model, each of all paths."""
-    paths: tuple[int, ...]
-    """Paths of an evaluation, by level, the finest last; empty without mapping."""
-    standard_error: float
-    """The largest of these evaluations' [m]; 0 without mapping."""
-    extraction_calls: int
-    """Rollouts of the coarse model in parameter extraction."""
-    mapping_status: Status
-    mapping_iterations: int
-    mapping_residuals: tuple[float, ...]
-    """|T(u_f) - u_c| / |u_c| of each iterate; empty without aggressive mapping."""
-    mapping_error_before: float
-    """|X - x_c| in L2(0, T) [m s^0.5] under the coarse plan; 0 without mapping."""
-    mapping_error_after: float
-    """The same under the plan that was chosen."""
-    seconds: dict[str, float]
-    """Time per phase: coarse (solve), fine (Monte Carlo), extraction; and in total."""
-
-
-@dataclass(frozen=True)
-class Window:
-    """A plan with its prediction.
-
-    centre: (K+1, 2) expected centre of the sheep [m], dogs: (K+1, M, 2) [m], on the time
-    grid of the prediction, dt [s].
-    """
-
-    plan: Plan
-    report: SolveReport
-    dt: float
-    centre: Array
-    dogs: Array
 
 
 @dataclass
@@ -151,25 +102,41 @@ class RecedingHorizon:
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
         """Plan the window that starts at t [s] in the given state.
 
-        Once no_time_for says True the best so far is returned. It is asked between evaluations
-        of a model, for the one that is next: 'coarse', 'fine' or 'extraction'.
+        Once no_time_for returns True the best plan so far is returned. It is called between
+        evaluations of a model, with the kind of the next: 'coarse', 'fine' or 'extraction'.
         """
-        clock = _Stopwatch()
+        clock = Stopwatch()
         control, horizon = self.control, self.control.horizon
         coarse = self.coarse_model(state)
         with clock.phase('coarse'):
-            solution = self._solve_coarse(coarse, t, partial(no_time_for, 'coarse'))
-            coarse_centre = _remembering(lambda u: centre(coarse.rollout(u).x))
-            wanted = coarse_centre(solution.u)
+            solution, costs = self._solve_coarse(coarse, t, partial(no_time_for, 'coarse'))
+            wanted = centre(coarse.rollout(solution.u).x)
+        extraction_calls, expected = 0, []
         if control.mapping.max_iterations and not no_time_for(FINE):
-            expectation = self._expectation(state, t)
-            mapping, extractions, expected = self._map(
-                coarse, expectation, coarse_centre, solution.u, clock, no_time_for
+            out_of_time = partial(no_time_for, EXTRACTION)
+            extraction = ParameterExtraction(
+                coarse,
+                self._admissible,
+                solution.u,
+                control.weights.control,
+                costs,
+                out_of_time,
             )
+            expectation = self._expectation(state, t)
+
+            def fine(u: Array) -> Array:
+                expected.append(expectation(u))
+                return expected[-1].centre
+
+            def misfit(output: Array) -> float:
+                return float(np.sqrt(horizon.dt * np.square(output - wanted).sum()))
+
+            problem = MappingProblem(clock.timing('fine', fine), misfit, solution.u)
+            mapping = self._map(problem, extraction, coarse, clock, no_time_for)
+            extraction_calls = extraction.calls
         else:
             left_out = Status.OUT_OF_TIME if control.mapping.max_iterations else Status.CONVERGED
             mapping = MappingResult(solution.u, wanted, left_out, (), ())
-            extractions, expected = 0, []
         plan = Plan(t, horizon.control_period, mapping.u)
         self._last = plan
         report = SolveReport(
@@ -181,7 +148,7 @@ class RecedingHorizon:
             fine_calls=len(expected),
             paths=expected[0].paths if expected else (),
             standard_error=max((each.standard_error for each in expected), default=0.0),
-            extraction_calls=extractions,
+            extraction_calls=extraction_calls,
             mapping_status=mapping.status,
             mapping_iterations=mapping.iterations,
             mapping_residuals=mapping.residuals,
@@ -189,156 +156,79 @@ class RecedingHorizon:
             mapping_error_after=min(mapping.misfits, default=0.0),
             seconds=clock.seconds(),
         )
-        return Window(plan, report, horizon.dt, mapping.output, coarse.rollout(plan.u).d)
+        dogs = coarse.dogs(plan.u)[:, :2].transpose(0, 2, 1)
+        return Window(plan, report, horizon.dt, mapping.output, dogs)
 
-    def _solve_coarse(self, coarse: CoarseModel, t: float, out_of_time: OutOfTime) -> Solution:
+    def _solve_coarse(
+        self, coarse: CoarseModel, t: float, out_of_time: OutOfTime
+    ) -> tuple[Solution, list[Cost]]:
         """Minimise the cost of the window without noise, from the last plan on.
 
-        Most of the way is done on the control's own time grid, where a step is cheaper.
+        Most of it is done on the control's own time grid, where a step is cheaper. Also return
+        the costs on the finer one, control effort apart.
         """
-        horizon, weights = self.control.horizon, self.control.weights
-        no_control: Array = np.zeros((horizon.intervals, len(coarse.state.d), 2))
-        u = no_control
+        horizon, weights, optimiser = (
+            self.control.horizon, self.control.weights, self.control.optimiser
+        )  # fmt: skip
+        u: Array = np.zeros((horizon.intervals, len(coarse.state.d), 2))
         if self._last is not None and self._last.u.shape == u.shape:
             u = self._last.shifted(t).u
-        solutions = []
-        limit = self.control.optimiser.max_iterations
+        solutions, costs = [], []
+        limit = optimiser.max_iterations
         for substeps in sorted({1, coarse.substeps}):
             model = replace(coarse, dt=coarse.interval / substeps, substeps=substeps)
             steps = horizon.intervals * substeps
             times = model.dt * np.arange(steps + 1, dtype=np.float64)
             route = reference(self.control.reference, coarse.state, self.goal, times)
-            objective = Objective.weighted(weights, route, no_control, self.costs)
-            solutions.append(self._optimise(model, objective, u, limit, out_of_time))
+            costs = [*weighted_costs(weights, route), *self.costs]
+            objective = Objective([*costs, ControlEffort(weights.control)])
+            problem = Problem(
+                partial(model.value_and_gradient, objective), self._admissible, model.inner
+            )
+            budget = Budget(limit, optimiser.tolerance, out_of_time)
+            solutions.append(OPTIMISERS[optimiser.method](problem, u, budget))
             u = solutions[-1].u
             limit = -(-limit // 3)
-        return replace(
+        solution = replace(
             solutions[-1],
             iterations=sum(each.iterations for each in solutions),
             calls=sum(each.calls for each in solutions),
         )
-
-    def _optimise(
-        self,
-        coarse: CoarseModel,
-        objective: Objective,
-        start: Array,
-        max_iterations: int,
-        out_of_time: OutOfTime,
-    ) -> Solution:
-        optimiser = self.control.optimiser
-        return OPTIMISERS[optimiser.method](
-            partial(coarse.value_and_gradient, objective),
-            self._admissible,
-            start,
-            coarse.inner,
-            optimiser.tolerance,
-            max_iterations,
-            out_of_time,
-        )
+        return solution, costs
 
     def _admissible(self, u: Array) -> Array:
         return self.control.motion.project(u, self.control.max_speed)
 
     def _map(
         self,
+        problem: MappingProblem,
+        extraction: ParameterExtraction,
         coarse: CoarseModel,
-        expectation: ExpectedCentre,
-        coarse_centre: Callable[[Array], Array],
-        u_coarse: Array,
-        clock: _Stopwatch,
+        clock: Stopwatch,
         no_time_for: NoTimeFor,
-    ) -> tuple[MappingResult, int, list[Expectation]]:
-        """Correct the coarse optimum for the noise.
-
-        Also return the rollouts in parameter extraction, and what the fine model said.
-        """
-        horizon, mapping = self.control.horizon, self.control.mapping
-        gamma = self.control.weights.control
-        no_time_to_extract = partial(no_time_for, EXTRACTION)
-        wanted = coarse_centre(u_coarse)
-        every = max(round(_NODE_SPACING / horizon.dt), 1)
-        calls = 0
-        expected: list[Expectation] = []
-
-        def fine(u: Array) -> Array:
-            with clock.phase('fine'):
-                expected.append(expectation(u))
-                return expected[-1].centre
-
-        @_remembering
-        def sensitivity(u: Array) -> CentreSensitivity:
-            return coarse.centre_sensitivity(u, every)
-
-        def match(
-            target: Array,
-            start: Array,
-            anchor: Array,
-            weight: float,
-            linearise: Callable[[Array], CentreSensitivity],
-        ) -> Array:
-            """Admissible control near the anchor under which the coarse centre is at target."""
-            nonlocal calls
-            with clock.phase('extraction'):
-                linear = linearise(start)
-                found = gauss_newton(
-                    lambda u: linear.residual(coarse_centre(u) - target),
-                    linearise,
-                    anchor,
-                    weight,
-                    self._admissible,
-                    start,
-                    coarse.inner,
-                    _EXTRACTION_TOLERANCE,
-                    _EXTRACTION_ITERATIONS,
-                    no_time_to_extract,
-                )
-                calls += found.calls
-                return found.u
-
-        def match_individuals(target: Array, start: Array) -> Array:
-            nonlocal calls
-            with clock.phase('extraction'):
-                objective = Objective([Tracking(1.0, 1.0, target)], gamma, u_coarse)
-                limit = self.control.optimiser.max_iterations
-                found = self._optimise(coarse, objective, start, limit, no_time_to_extract)
-                calls += found.calls
-                return found.u
-
-        def misfit(output: Array) -> float:
-            return float(np.sqrt(horizon.dt * np.square(output - wanted).sum()))
-
+    ) -> MappingResult:
+        """Correct the coarse optimum for the noise."""
+        mapping = self.control.mapping
+        budget = Budget(mapping.max_iterations, mapping.tolerance)
         if mapping.method == 'output':
-            result = space_mapping.output(
-                fine,
-                coarse_centre,
-                # One linearisation for all: what it misses is corrected like any other defect.
-                lambda target, u, damping: match(
-                    target, u, u, damping, lambda _: sensitivity(u_coarse)
-                ),
-                misfit,
-                u_coarse,
-                gamma,
-                mapping.accuracy * np.sqrt(horizon.length),
-                mapping.max_iterations,
+            in_norm = mapping.tolerance * np.sqrt(self.control.horizon.length)
+            return output_mapping(
+                problem,
+                extraction.centre,
+                clock.timing('extraction', extraction.near),
+                self.control.weights.control,
+                replace(budget, tolerance=in_norm),
                 no_time_for,
             )
-        else:
-            result = space_mapping.aggressive(
-                fine,
-                match_individuals
-                if mapping.observable == 'individuals'
-                else lambda target, start: match(target, start, u_coarse, gamma, sensitivity),
-                misfit,
-                self._admissible,
-                u_coarse,
-                coarse.inner,
-                mapping.tolerance,
-                mapping.min_decrease,
-                mapping.max_iterations,
-                no_time_for=no_time_for,
-            )
-        return result, calls, expected
+        return aggressive_mapping(
+            problem,
+            clock.timing('extraction', extraction.extract),
+            self._admissible,
+            coarse.inner,
+            budget,
+            MIN_DECREASE if mapping.tolerance else -np.inf,
+            no_time_for=no_time_for,
+        )
 
     def _expectation(self, state: HerdState, t: float) -> ExpectedCentre:
         """Return the expected centre from a state at t [s] on, as a function of the control."""
@@ -351,33 +241,3 @@ class RecedingHorizon:
             self._noise = Noise(fine, estimator, self.seed)
             self._noise_sheep = fine.sheep
         return ExpectedCentre(fine, estimator, self._noise, mapping.standard_error, mapping.paths)
-
-
-def _remembering(function: Callable[[Array], _T]) -> Callable[[Array], _T]:
-    """Return the same function, which computes nothing twice."""
-    seen: dict[bytes, _T] = {}
-
-    def remembered(u: Array) -> _T:
-        key = u.tobytes()
-        if key not in seen:
-            seen[key] = function(u)
-        return seen[key]
-
-    return remembered
-
-
-class _Stopwatch:
-    """Seconds spent in each phase."""
-
-    def __init__(self) -> None:
-        self._seconds = {'coarse': 0.0, 'fine': 0.0, 'extraction': 0.0}
-        self._started = time.perf_counter()
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        started = time.perf_counter()
-        yield
-        self._seconds[name] += time.perf_counter() - started
-
-    def seconds(self) -> dict[str, float]:
-        return {**self._seconds, 'total': time.perf_counter() - self._started}

@@ -9,7 +9,7 @@ import numpy as np
 
 from herding_ros.model.state import Array
 
-from .receding_horizon import Window
+from .window import Window
 
 
 @dataclass(frozen=True)

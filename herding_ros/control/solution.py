@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an optimiser is given and what it returns."""
 
 from __future__ import annotations
@@ -13,9 +14,36 @@ ValueAndGradient = Callable[[Array], tuple[float, Array]]
 Projection = Callable[[Array], Array]
 InnerProduct = Callable[[Array, Array], float]
 OutOfTime = Callable[[], bool]
-"""Asked between evaluations; once it says True, the best so far is returned."""
+"""Called between evaluations; once it returns True, the best point so far is returned."""
 NoTimeFor = Callable[[str], bool]
-"""The same, asked with the kind of step that is next: steps of one kind take about as long."""
+"""The same, called with the kind of the next step: steps of one kind take about as long."""
+
+
+def never(step: str = '') -> bool:
+    """Return False: time without end."""
+    return False
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A smooth function to be minimised over a convex set.
+
+    value_and_gradient: the function and its gradient, which refers to the inner product `inner`;
+    project: from a point to the nearest of the set.
+    """
+
+    value_and_gradient: ValueAndGradient
+    project: Projection
+    inner: InnerProduct
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When to stop; what `tolerance` measures is the method's to say."""
+
+    max_iterations: int
+    tolerance: float = 0.0
+    out_of_time: OutOfTime = never
 
 
 class Status(Enum):
@@ -30,7 +58,7 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Solution:
-    """The best point an optimiser found: a status is no error, the caller judges."""
+    """The best point an optimiser found: a status is not an error, the caller judges."""
 
     u: Array
     value: float
@@ -42,12 +70,7 @@ class Solution:
     """Evaluations of value and gradient."""
 
 
-def never(step: str = '') -> bool:
-    """Return False: time without end."""
-    return False
-
-
-def criticality(project: Projection, u: Array, gradient: Array, inner: InnerProduct) -> float:
-    """Norm of the projected gradient P(u - g) - u: zero at a stationary point."""
-    step = project(u - gradient) - u
-    return math.sqrt(inner(step, step))
+def criticality(problem: Problem, u: Array, gradient: Array) -> float:
+    """Return the norm of the projected gradient P(u - g) - u: zero at a stationary point."""
+    step = problem.project(u - gradient) - u
+    return math.sqrt(problem.inner(step, step))

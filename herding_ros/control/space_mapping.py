@@ -1,7 +1,8 @@
-"""Two ways to correct the plan of a coarse model with few looks at the fine one.
+# SPDX-License-Identifier: Apache-2.0
+"""Two methods that correct the plan of a coarse model by few evaluations of the fine one.
 
-`aggressive` is the paper's Algorithm 1, repaired: it compares controls. `output` compares what
-the models put out, and needs fewer looks where the controls are at their limits.
+`aggressive_mapping` is the paper's Algorithm 1, repaired: it compares controls. `output_mapping`
+compares the models' outputs, and needs fewer evaluations where the controls are at their limits.
 """
 
 from __future__ import annotations
@@ -14,13 +15,29 @@ import numpy as np
 
 from herding_ros.model.state import Array
 
-from .solution import InnerProduct, never, NoTimeFor, Projection, Status
+from .solution import Budget, InnerProduct, never, NoTimeFor, Projection, Status
 
 FINE, EXTRACTION = 'fine', 'extraction'
-"""Kinds of steps, for NoTimeFor: a look at the fine model; a search with the coarse one."""
+"""Kinds of steps, for NoTimeFor: evaluation of the fine model; search with the coarse one."""
+
+MIN_DECREASE = 5e-3
+"""The paper's aggressive mapping stops when its residual decreases by less in an iteration."""
 
 _DAMPING_FACTOR = 10.0
 _SINGULAR = 1e-10
+
+
+@dataclass(frozen=True)
+class MappingProblem:
+    """What a space mapping is to correct.
+
+    fine: from a control to the fine model's output; misfit: how far an output is from the wanted
+    one; u_coarse: the coarse optimum u_c, from which a mapping starts.
+    """
+
+    fine: Callable[[Array], Array]
+    misfit: Callable[[Array], float]
+    u_coarse: Array
 
 
 @dataclass(frozen=True)
@@ -83,31 +100,28 @@ class Broyden:
         return r - sum(w * c for w, c in zip(weights, self._corrections, strict=True))
 
 
-def aggressive(
-    fine: Callable[[Array], Array],
+def aggressive_mapping(
+    problem: MappingProblem,
     extract: Callable[[Array, Array], Array],
-    misfit: Callable[[Array], float],
     project: Projection,
-    u_coarse: Array,
     inner: InnerProduct,
-    tolerance: float,
-    min_decrease: float,
-    max_iterations: int,
+    budget: Budget,
+    min_decrease: float = MIN_DECREASE,
     quasi_newton: bool = True,
     no_time_for: NoTimeFor = never,
 ) -> MappingResult:
     """Find u_f with T(u_f) = u_c, where T(u) = extract(fine(u)).
 
-    fine maps a control to the fine model's output; extract(output, start) returns the coarse
-    control that reproduces an output best, searched from start; u_coarse is the coarse optimum
-    u_c. misfit says how far an output is from the wanted one: the iterate with the least is
-    returned, so the result is never worse than u_c. Stops as the paper does: residual at most
-    `tolerance`, or decreased by less than `min_decrease`, or after `max_iterations`.
+    extract(output, start) returns the coarse control that reproduces an output best, searched
+    from start. The iterate with the least misfit is returned, so the result is never worse than
+    u_c. Stops as the paper does: residual |T(u_f) - u_c| / |u_c| at most the budget's tolerance,
+    or decreased by less than `min_decrease`, or no iterations left.
 
     Each step solves B h = -(T(u_f) - u_c) and projects u_f + h. The secant of the update
     uses the step actually taken, which with the projection differs from h. Without
     quasi_newton there is no update: B = I throughout.
     """
+    fine, misfit, u_coarse = problem.fine, problem.misfit, problem.u_coarse
     scale = math.sqrt(inner(u_coarse, u_coarse)) or 1.0
     broyden = Broyden(inner)
     u = extracted = u_coarse
@@ -126,13 +140,13 @@ def aggressive(
         if quasi_newton:
             broyden.update(step, residual - previous)
         residuals.append(math.sqrt(inner(residual, residual)) / scale)
-        if residuals[-1] <= tolerance:
+        if residuals[-1] <= budget.tolerance:
             status = Status.CONVERGED
             break
         if len(residuals) > 1 and residuals[-2] - residuals[-1] < min_decrease:
             status = Status.STAGNATED
             break
-        if len(residuals) > max_iterations:
+        if len(residuals) > budget.max_iterations:
             break
         if no_time_for(FINE):
             status = Status.OUT_OF_TIME
@@ -146,15 +160,12 @@ def aggressive(
     return MappingResult(best[1], best[2], status, tuple(residuals), tuple(misfits))
 
 
-def output(
-    fine: Callable[[Array], Array],
+def output_mapping(
+    problem: MappingProblem,
     coarse: Callable[[Array], Array],
     match: Callable[[Array, Array, float], Array],
-    misfit: Callable[[Array], float],
-    u_coarse: Array,
     damping: float,
-    accuracy: float,
-    max_iterations: int,
+    budget: Budget,
     no_time_for: NoTimeFor = never,
 ) -> MappingResult:
     """Find u_f whose fine output is that of u_coarse in the coarse model, by defect correction.
@@ -165,15 +176,16 @@ def output(
     mapping; Echeverria and Hemker 2005 on defect correction). Where the aggressive mapping
     mirrors a control that is at its limit, and loses what leaves the admissible set, each step
     here respects the limits. The damping falls tenfold after a success and rises tenfold after
-    a failure (Levenberg and Marquardt). Ends when the misfit is at most `accuracy`.
+    a failure (Levenberg and Marquardt). Ends when the misfit is at most the budget's tolerance.
     """
+    fine, misfit, u_coarse = problem.fine, problem.misfit, problem.u_coarse
     wanted = coarse(u_coarse)
     best = u_coarse
     best_output = fine(best)
     misfits = [misfit(best_output)]
     best_misfit = misfits[0]
     status = Status.ITERATION_LIMIT
-    while best_misfit > accuracy and len(misfits) <= max_iterations:
+    while best_misfit > budget.tolerance and len(misfits) <= budget.max_iterations:
         if no_time_for(EXTRACTION):
             status = Status.OUT_OF_TIME
             break
@@ -189,6 +201,6 @@ def output(
             damping /= _DAMPING_FACTOR
         else:
             damping *= _DAMPING_FACTOR
-    if best_misfit <= accuracy:
+    if best_misfit <= budget.tolerance:
         status = Status.CONVERGED
     return MappingResult(best, best_output, status, (), tuple(misfits))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spectral projected gradient (Birgin, Martinez, Raydan 2000, algorithm SPG2)."""
 
 from __future__ import annotations
@@ -6,16 +7,7 @@ from collections import deque
 
 from herding_ros.model.state import Array
 
-from .solution import (
-    criticality,
-    InnerProduct,
-    never,
-    OutOfTime,
-    Projection,
-    Solution,
-    Status,
-    ValueAndGradient,
-)
+from .solution import Budget, criticality, Problem, Solution, Status
 
 _SUFFICIENT_DECREASE = 1e-4
 _MEMORY = 8
@@ -23,40 +15,33 @@ _STEP_LIMITS = (1e-10, 1e10)
 _BACKTRACKS = 30
 
 
-def spg(
-    value_and_gradient: ValueAndGradient,
-    project: Projection,
-    start: Array,
-    inner: InnerProduct,
-    tolerance: float,
-    max_iterations: int,
-    out_of_time: OutOfTime = never,
-) -> Solution:
+def spg(problem: Problem, start: Array, budget: Budget) -> Solution:
     """Minimise over a convex set, given the projection onto it.
 
     Steps along the projected gradient with the Barzilai-Borwein length, accepted when the
     value is below the largest of the last eight (the line search of Grippo, Lampariello and
     Lucidi), so that most steps cost one evaluation. Converged when the projected gradient,
-    measured by `inner`, is at most `tolerance`. Returns the best point seen.
+    measured by the inner product, is at most the tolerance. Returns the best point seen.
     """
+    value_and_gradient, project, inner = problem.value_and_gradient, problem.project, problem.inner
     u = project(start)
     value, gradient = value_and_gradient(u)
     calls = 1
     recent = deque([value], maxlen=_MEMORY)
     length = 1.0
-    best = (value, u, criticality(project, u, gradient, inner))
+    best = (value, u, criticality(problem, u, gradient))
     status = Status.ITERATION_LIMIT
     iterations = 0
-    for iterations in range(max_iterations + 1):
-        distance = criticality(project, u, gradient, inner)
+    for iterations in range(budget.max_iterations + 1):
+        distance = criticality(problem, u, gradient)
         if value <= best[0]:
             best = (value, u, distance)
-        if distance <= tolerance:
+        if distance <= budget.tolerance:
             status = Status.CONVERGED
             break
-        if iterations == max_iterations:
+        if iterations == budget.max_iterations:
             break
-        if out_of_time():
+        if budget.out_of_time():
             status = Status.OUT_OF_TIME
             break
         direction = project(u - length * gradient) - u

@@ -22,10 +22,10 @@ class Crowd(Parameters):
     dog: Potential = Morse(1e-2, 0.5, 5e-4, 2.0)
     friction: float = quantity(0.5, 'friction alpha of the sheep', '1/s', low=0.0)
     noise: float = quantity(
-        0.01, 'strength sigma of the random force on each sheep', 'm/s^1.5', low=0.0
+        0.01, 'strength sigma of the random force on each sheep', 'm/s^1.5', low=0.0, live=True
     )
     common_noise: float = quantity(
-        0.0, 'share of its variance that all sheep have in common', low=0.0, high=1.0
+        0.0, 'share of its variance that all sheep have in common', low=0.0, high=1.0, live=True
     )
     noise_field: NoiseFunction = NoiseField()
     external: ExternalForce = NoForce()

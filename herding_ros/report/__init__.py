@@ -1,1 +1,2 @@
-"""Pictures and numbers from a recorded run. No rclpy here."""
+# SPDX-License-Identifier: Apache-2.0
+"""Figures, tables and statistics; the report on a recorded run. No rclpy here."""

@@ -1,4 +1,5 @@
-"""The paper's remark on other applications: guides that lead, in place of dogs that drive."""
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's remark on other applications: guides that lead, instead of dogs that drive."""
 
 from __future__ import annotations
 
@@ -6,148 +7,99 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from herding_ros.model.scenario import GOAL
+from herding_ros.report.markdown import table
+from herding_ros.report.style import BLUE, COLOURS, GREY, legend, new, RED, save
 
-from .markdown import table
-from .pictures import BLUE, COLOURS, draw_run, GREY, new, RED, save
-from .runs import (
-    FAILURES,
-    failures,
-    median_time,
-    paths_of,
-    run_task,
-    success,
-    SUMMARY,
-    summary,
-    times,
-    under,
-)
+from .pictures import draw_runs, draw_times
+from .runs import arrival_row, failures, LIMIT, number, run_task, summary
 from .study import Options, Results, Row, Section
 from .task import Task
 
-DESCRIPTION = 'a crowd led by 1 to 5 guides, against dogs and against nobody'
+TITLE = 'Evacuation: guides in place of dogs'
+DESCRIPTION = 'a crowd led by 1 to 5 guides, compared with dogs and with no leader'
 
 _AGENTS = (1, 2, 3, 4, 5)
-_GOAL = [0.5, 0.5]
-_LIMIT = 400.0
-_FAST = {'reference': {'speed': 0.05}}
-_WAYS: dict[str, tuple[str, dict[str, Any]]] = {
-    'dogs': ('cohesive', {}),
-    'guides': ('guided', {}),
-    'guides, reference.speed 0.05': ('guided', _FAST),
+_LEADERS: dict[str, dict[str, Any]] = {
+    'dogs': {'crowd': 'cohesive', 'settings': {}},
+    'guides': {'crowd': 'guided', 'settings': {}},
+    'guides, reference.speed 0.05': {
+        'crowd': 'guided',
+        'settings': {'reference': {'speed': 0.05}},
+    },
 }
-"""Who leads: the crowd's preset, and what differs from the default controller."""
-_MARKS = dict(zip(_WAYS, (RED, COLOURS[2], BLUE), strict=True))
+"""The crowd's preset, and differences from the default controller."""
+_COLOURS = dict(zip(_LEADERS, (RED, COLOURS[2], BLUE), strict=True))
 
 
 def tasks(options: Options) -> list[Task]:
-    """Return runs of the same crowds under each number of dogs and guides, and alone."""
-    quick = options.quick
-    sheep, limit = (6, 10.0) if quick else (20, _LIMIT)
-    found = []
+    """Return runs of the same crowds with each number of dogs and guides, and alone."""
+    quick, found = options.quick, []
     for seed in options.seed_range(10):
-        for (crowd, settings), agents in product(
-            _WAYS.values(), _AGENTS[:2] if quick else _AGENTS
-        ):
-            given = paths_of(settings, options.path_number(100))
-            found.append(
-                run_task(
-                    'planner', given, agents, 0.01, _GOAL, seed, limit,
-                    cost=0.2 if quick else 4.0 / agents, sheep=sheep, crowd=crowd,
-                )
-            )  # fmt: skip
-        alone = run_task(
-            'none', {}, 1, 0.01, _GOAL, seed, limit, cost=0.5, sheep=sheep, every=10.0
-        )
-        found.append(alone)
+        for leaders, agents in product(_LEADERS.values(), _AGENTS[:2] if quick else _AGENTS):
+            cost = 0.2 if quick else 4.0 / agents
+            found.append(run_task(options, cost, **leaders, dogs=agents, seed=seed))
+        found.append(run_task(options, 0.5, policy='none', dogs=1, seed=seed, every=10.0))
     return found
 
 
 _Runs = dict[tuple[str, int], Results]
-"""Runs by who leads and how many they are."""
+"""Runs by the kind of leaders and their number."""
+
+_SHOWN = tuple(product(('dogs', 'guides'), (1, 2, 5)))
+"""Those that are drawn."""
 
 
 def draw(results: Results, figures: Path) -> Section:
     """Make the table, the distribution of times, and the pictures."""
-    led = results.of('herding', policy='planner')
     runs = {
-        (way, agents): under(settings, led.of('herding', crowd=crowd, dogs=agents))
-        for (way, (crowd, settings)), agents in product(_WAYS.items(), _AGENTS)
+        (name, agents): results.of('herding', policy='planner', dogs=agents, **leaders)
+        for (name, leaders), agents in product(_LEADERS.items(), _AGENTS)
     }
     alone = results.of('herding', policy='none')
+    _draw_times(runs, alone, figures)
+    shown = {f'{name}: {agents}': runs[name, agents] for name, agents in _SHOWN}
+    draw_runs(shown, GOAL, figures / 'evacuation-trajectories.png', width=3.2, height=3.0)
+    groups = (({'led by': name}, found) for (name, _), found in runs.items())
     values = {
-        'seeds': str(len(results.parameter('seed'))),
+        'seeds': results.seeds,
         'table': _table(runs, alone),
-        'failures': _failures(runs),
-        'times': _distributions(runs, alone, figures),
-        'pictures': _pictures(runs, figures),
+        'failures': failures(groups, agents='number'),
     }
     return Section(values, _rows(runs))
 
 
 def _table(runs: _Runs, alone: Results) -> str:
-    rows = [
-        (str(agents), way, *summary(found)) for (way, agents), found in runs.items() if len(found)
+    rows: list[dict[str, object]] = [
+        {'number': agents, 'led by': name, **summary(found)}
+        for (name, agents), found in runs.items()
+        if len(found)
     ]
     if len(alone):
-        rows.append(('0', 'nobody', *summary(alone)[:-2], '–', '–'))
-    return table(('number', 'led by', *SUMMARY), rows)
+        columns = summary(alone)
+        unknown = dict.fromkeys(list(columns)[-2:], '–')  # path and energy of a dog
+        rows.append({'number': 0, 'led by': 'nobody', **columns, **unknown})
+    return table(rows)
 
 
-def _failures(runs: _Runs) -> str:
-    rows = [(way, *row) for (way, _), found in runs.items() for row in failures(found)]
-    if not rows:
-        return ''
-    return 'Runs without safe arrival:\n\n' + table(('led by', 'number', *FAILURES[1:]), rows)
-
-
-def _distributions(runs: _Runs, alone: Results, figures: Path) -> str:
+def _draw_times(runs: _Runs, alone: Results, figures: Path) -> None:
     figure, ((axes,),) = new(1, 1, width=6.5, height=3.4)
-    for offset, (way, colour) in zip((-0.2, 0.0, 0.2), _MARKS.items(), strict=True):
-        label: str | None = way
+    for offset, (name, colour) in zip((-0.2, 0.0, 0.2), _COLOURS.items(), strict=True):
+        label = name
         for agents in _AGENTS:
-            found = np.minimum(times(runs[way, agents]), _LIMIT)
-            if len(found):
-                at = np.full(len(found), agents + offset)
-                axes.plot(at, found, '.', color=colour, alpha=0.6, label=label)
-                middle = float(np.median(found))
-                axes.plot(at[0] + [-0.09, 0.09], [middle, middle], color=colour)
-                label = None
-    if len(alone):
-        found = np.minimum(times(alone), _LIMIT)
-        axes.plot(np.zeros(len(found)), found, '.', color=GREY, alpha=0.6, label='nobody')
-    axes.set(yscale='log', ylim=(10.0, 1.1 * _LIMIT), ylabel='time of arrival [s]')
+            draw_times(axes, agents + offset, runs[name, agents], LIMIT, 0.09, colour, label)
+            label = '' if len(runs[name, agents]) else label
+    draw_times(axes, 0.0, alone, LIMIT, 0.09, GREY, 'nobody')
+    axes.set(yscale='log', ylim=(10.0, 1.1 * LIMIT), ylabel='time of arrival [s]')
     axes.set(xlabel='number of dogs or guides')
-    if axes.lines:
-        axes.legend(fontsize=7, frameon=False)
-    return save(figure, figures / 'evacuation-times.png')
-
-
-def _pictures(runs: _Runs, figures: Path) -> str:
-    shown = list(product(('dogs', 'guides'), (1, 2, 5)))
-    figure, axes = new(3, 2, width=3.2, height=3.0)
-    for place, (way, agents) in zip(axes.flat, shown, strict=True):
-        first = runs[way, agents].by_seed().get(0)
-        if first:
-            end = f'{first["duration"]:.0f} s' + ('' if first['arrived'] else ', not there')
-            draw_run(place, first, _GOAL, f'{way}: {agents}, {end}')
-        else:
-            place.set_axis_off()
-    return save(figure, figures / 'evacuation-trajectories.png')
+    legend(axes)
+    save(figure, figures / 'evacuation-times.png')
 
 
 def _rows(runs: _Runs) -> list[Row]:
     rows = []
     for agents in _AGENTS:
-        dogs, guides, fast = (runs[way, agents] for way in _WAYS)
-        if len(guides):
-            rows.append(
-                Row(
-                    f'{agents} guide{"s" * (agents > 1)}: time of arrival',
-                    'a remark',
-                    f'{median_time(guides)} s',
-                    f'{success(guides)} safe; faster reference: {median_time(fast)} s, '
-                    f'{success(fast)}; as many dogs: {median_time(dogs)} s, {success(dogs)}',
-                )
-            )
+        dogs, guides, fast = (runs[name, agents] for name in _LEADERS)
+        others = {'faster reference': fast, 'as many dogs': dogs}
+        rows += arrival_row(number(agents, 'guide'), 'a remark', guides, others)
     return rows

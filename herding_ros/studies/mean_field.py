@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Section 7: the mean-field limit as the coarse model of large flocks."""
 
 from __future__ import annotations
@@ -8,16 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from .markdown import table
-from .pictures import BLUE, GREY, new, RED, save
-from .statistics import Mean, significant
-from .study import Goal, Options, Results, Row, Section
+from herding_ros.report.markdown import Goal, table
+from herding_ros.report.statistics import Mean
+from herding_ros.report.style import BLUE, GREY, legend, new, RED, save
+
+from .study import Options, Results, Row, Section
 from .task import Task
 
+TITLE = 'Large flocks: the mean-field limit as coarse model (section 7)'
 DESCRIPTION = 'section 7: the mean-field limit as coarse model: convergence, mapping, cost'
 
 _FLOCKS = {100: 10, 300: 8, 1000: 6, 3000: 4, 10_000: 3}
-"""Sheep, and how many flocks of so many are compared with the limit."""
+"""Numbers of sheep, and for each the number of flocks that are compared with the limit."""
 _MARKERS = (128, 256, 512)
 _LIMIT = 512
 """Markers whose own error is small against that of all but the largest flocks."""
@@ -30,71 +33,68 @@ _ITERATIONS = 4
 _TIMED = (200, 1000, 10_000, 100_000)
 _BOUND = 0.2
 _COARSE = {'mean-field limit': 128, 'all sheep': 500}
-"""The number of markers that makes a flock of a thousand be planned for in either way."""
+"""Coarse models of a flock of a thousand, and the number of markers that selects them."""
 
 
 def tasks(options: Options) -> list[Task]:
     """Return flocks to compare with the limit, windows to map, and plans to time."""
     quick = options.quick
+    comparison = {
+        'dogs': 5,
+        'duration': 2.0 if quick else 20.0,
+        'dt': 0.05,
+        'markers': list(_MARKERS),
+        'density_markers': _DENSITY,
+    }
     found = [
         Task(
             'mean_field_convergence',
-            {
-                'sheep': sheep,
-                'dogs': 5,
-                'seed': seed,
-                'duration': 2.0 if quick else 20.0,
-                'dt': 0.05,
-                'markers': list(_MARKERS),
-                'density_markers': _DENSITY,
-            },
+            {**comparison, 'sheep': sheep, 'seed': seed},
             cost=0.5 if quick else 4.0 + 3e-7 * sheep**2,
         )
         for sheep, usual in _FLOCKS.items()
         if not quick or sheep < 1000
         for seed in options.seed_range(usual)
     ]
-    sheep, sigmas = (300, _SIGMAS[-1:]) if quick else (_MAPPED, _SIGMAS)
-    windows = [(markers, sigma) for markers, sigma in product(_COARSE.values(), sigmas)]
-    found += [
-        Task(
-            'mean_field_mapping',
-            {
-                'sheep': sheep,
-                'dogs': 5,
-                'sigma': sigma,
-                'seed': seed,
-                'judge_paths': options.path_number(_PATHS),
-                'control': _control(markers, options, quick),
-            },
-            cost=0.5 if quick else 60.0 * (1.0 if markers == min(_COARSE.values()) else 4.0),
-        )
-        for markers, sigma in windows
-        # All sheep in the coarse model cost minutes: one noise and one flock show how it does.
-        if markers <= min(_COARSE.values()) or sigma == _SIGMAS[-1]
-        for seed in options.seed_range(2 if markers == min(_COARSE.values()) else 1)
-    ]
-    flocks = [20, 300] if quick else list(_TIMED)
-    return [
-        *found,
-        Task(
-            'mean_field_replan',
-            {'flocks': flocks, 'dogs': 5, 'seed': 0, 'iterations': 2 if quick else 30},
-            cost=1.0 if quick else 40.0,
-        ),
-    ]
+    window = {
+        'sheep': 300 if quick else _MAPPED,
+        'dogs': 5,
+        'judge_paths': options.path_number(_PATHS),
+    }
+    limit, all_sheep = _COARSE.values()
+    for markers, sigma in product(_COARSE.values(), _SIGMAS[-1:] if quick else _SIGMAS):
+        # All sheep in the coarse model cost minutes: one noise and one flock suffice.
+        if markers == all_sheep and sigma != _SIGMAS[-1]:
+            continue
+        control = _control(markers, options)
+        cost = 0.5 if quick else 60.0 if markers == limit else 240.0
+        found += [
+            Task(
+                'mean_field_mapping',
+                {**window, 'sigma': sigma, 'seed': seed, 'control': control},
+                cost,
+            )
+            for seed in options.seed_range(2 if markers == limit else 1)
+        ]
+    replan = {
+        'flocks': [20, 300] if quick else list(_TIMED),
+        'dogs': 5,
+        'seed': 0,
+        'iterations': 2 if quick else 30,
+    }
+    return [*found, Task('mean_field_replan', replan, cost=1.0 if quick else 40.0)]
 
 
-def _control(markers: int, options: Options, quick: bool) -> dict[str, Any]:
+def _control(markers: int, options: Options) -> dict[str, Any]:
     settings: dict[str, Any] = {
         'mapping': {
             'paths': options.path_number(_PATHS),
-            'max_iterations': 1 if quick else _ITERATIONS,
-            'accuracy': 1e-4,
+            'max_iterations': 1 if options.quick else _ITERATIONS,
+            'tolerance': 1e-4,
         },
         'coarse': {'markers': markers},
     }
-    if quick:
+    if options.quick:
         settings['horizon'] = {'length': 2.0, 'accepted': 1.0}
     return settings
 
@@ -106,23 +106,14 @@ def draw(results: Results, figures: Path) -> Section:
         for name in _QUANTITIES
         for words, path in {'same': ('flock', str(_LIMIT)), 'density': ('density',)}.items()
     }
-    mapped = [
-        result['after'] / result['before']
-        for task, result in results.of(
-            'mean_field_mapping', sheep=_MAPPED, sigma=_SIGMAS[-1]
-        ).entries
-        if task.parameters['control']['coarse']['markers'] == _COARSE['mean-field limit']
-    ]
-    worst = max(mapped, default=None)
-    replan = _replan(results)
-    large = str(10_000)
-    ratio = _total(replan[large]) / _total(replan['200']) if large in replan else None
+    replans = list(results.of('mean_field_replan'))
+    replan = replans[0] if replans else {}
+    _draw_convergence(results, figures)
     values = {
         'convergence': _convergence_table(results),
         **rates,
         'mapping': _mapping_table(results),
         'replan': _replan_table(replan),
-        'picture': _figure(results, figures),
     }
     rows = [
         Row(
@@ -133,24 +124,41 @@ def draw(results: Results, figures: Path) -> Section:
         )
         for name in _QUANTITIES
     ]
-    measured = '–' if worst is None else significant(worst)
-    goals = [
+    return Section(values, rows, _goals(results, replan))
+
+
+def _goals(results: Results, replan: dict[str, dict[str, float]]) -> list[Goal]:
+    found = _mapped(results, _SIGMAS[-1], _COARSE['mean-field limit'])
+    ratios = [
+        each['after'] / each['before'] for each in found.of('mean_field_mapping', sheep=_MAPPED)
+    ]
+    few, many = replan.get('200'), replan.get('10000')
+    costs = [sum(many.values()) / sum(few.values())] if few and many else []
+    what = (
+        f'N = {_MAPPED}, σ = {_SIGMAS[-1]:g}, mean-field coarse model, at most {_ITERATIONS} '
+        'iterations: error after / before'
+    )
+    return [
         Goal(
-            f'N = {_MAPPED}, σ = {_SIGMAS[-1]:g}, mean-field coarse model, at most {_ITERATIONS} '
-            'iterations: error after / before',
-            f'≤ {_BOUND:g}', measured, None if worst is None else worst <= _BOUND,
-        ),
-        Goal(
-            'Replan for N = 10,000 / for N = 200, the fine model apart', '≤ 1',
-            '–' if ratio is None else significant(ratio),
-            None if ratio is None else ratio <= 1.0,
-        ),
-    ]  # fmt: skip
-    return Section(values, rows, goals)
+            words,
+            f'≤ {bound:g}',
+            max(measured, default='–'),
+            max(measured) <= bound if measured else None,
+        )
+        for words, bound, measured in (
+            (what, _BOUND, ratios),
+            ('Replan for N = 10,000 / for N = 200, the fine model apart', 1.0, costs),
+        )
+    ]
 
 
 def _errors(results: Results, sheep: int, *path: str) -> list[float]:
     return results.of('mean_field_convergence', sheep=sheep).values(*path)
+
+
+def _mapped(results: Results, sigma: float, markers: int) -> Results:
+    windows = results.of('mean_field_mapping', sigma=sigma)
+    return windows.where(lambda task: task.parameters['control']['coarse']['markers'] == markers)
 
 
 def _rate(results: Results, *path: str) -> float | None:
@@ -170,72 +178,56 @@ def _exponent(rate: float | None) -> str:
 
 
 def _convergence_table(results: Results) -> str:
-    rows = []
-    for sheep in _FLOCKS:
-        here = results.of('mean_field_convergence', sheep=sheep)
-        if len(here):
-            errors = [
-                str(Mean.of(here.values('flock', str(count), name)))
-                for name in _QUANTITIES
-                for count in _MARKERS
-            ]
-            density = [str(Mean.of(here.values('density', name))) for name in _QUANTITIES]
-            widened = str(Mean.of(here.values('widened')))
-            rows.append((f'{sheep:,}', str(len(here)), *errors, *density, widened))
-    head = (
-        'N', 'flocks', *(f'{name}, {count} [m]' for name in _QUANTITIES for count in _MARKERS),
-        *(f'{name}, from the density [m]' for name in _QUANTITIES), 'growth of the spread [m]',
-    )  # fmt: skip
-    return table(head, rows)
+    return table(
+        {
+            'N': f'{sheep:,}',
+            'flocks': len(here),
+            **{
+                f'{name}, {count} [m]': here.mean('flock', str(count), name)
+                for name, count in product(_QUANTITIES, _MARKERS)
+            },
+            **{
+                f'{name}, from the density [m]': here.mean('density', name) for name in _QUANTITIES
+            },
+            'growth of the spread [m]': here.mean('widened'),
+        }
+        for sheep in _FLOCKS
+        if len(here := results.of('mean_field_convergence', sheep=sheep))
+    )
 
 
 def _mapping_table(results: Results) -> str:
-    rows = []
-    for sigma, (words, markers) in product(_SIGMAS, _COARSE.items()):
-        found = results.of('mean_field_mapping', sigma=sigma).where(
-            lambda task, markers=markers: (  # type: ignore[misc]
-                task.parameters['control']['coarse']['markers'] == markers
-            )
-        )
-        for result in found:
-            after = result['after'] / result['before']
-            judged = result['judged_after'] / result['judged_before']
-            rows.append(
-                (
-                    f'{sigma:g}', words, f'{result["before"]:.1e}', f'{result["after"]:.1e}',
-                    significant(after), significant(judged), str(result['iterations']),
-                    *(f'{result["seconds"][name]:.1f}' for name in ('coarse', 'extraction')),
-                    f'{result["seconds"]["fine"]:.0f}',
-                )
-            )  # fmt: skip
-    head = (
-        'σ', 'coarse model', 'before', 'after', 'after / before', 'on other paths',
-        'iterations', 'coarse solve [s]', 'extraction [s]', 'fine [s]',
-    )  # fmt: skip
-    return table(head, rows)
-
-
-def _replan(results: Results) -> dict[str, dict[str, float]]:
-    found = [result for result in results.of('mean_field_replan')]
-    return found[0] if found else {}
-
-
-def _total(seconds: dict[str, float]) -> float:
-    return sum(seconds.values())
+    return table(
+        {
+            'σ': f'{sigma:g}',
+            'coarse model': words,
+            'before': f'{result["before"]:.1e}',
+            'after': f'{result["after"]:.1e}',
+            'after / before': result['after'] / result['before'],
+            'on other paths': result['judged_after'] / result['judged_before'],
+            'iterations': result['iterations'],
+            'coarse solve [s]': f'{result["seconds"]["coarse"]:.1f}',
+            'extraction [s]': f'{result["seconds"]["extraction"]:.1f}',
+            'fine [s]': f'{result["seconds"]["fine"]:.0f}',
+        }
+        for sigma, (words, markers) in product(_SIGMAS, _COARSE.items())
+        for result in _mapped(results, sigma, markers)
+    )
 
 
 def _replan_table(replan: dict[str, dict[str, float]]) -> str:
-    rows = [
-        (
-            f'{int(sheep):,}', f'{seconds["coarse"]:.2f}', f'{seconds["sensitivity"]:.2f}',
-            f'{_total(seconds):.2f}',
-        )
+    return table(
+        {
+            'N': f'{int(sheep):,}',
+            'coarse solve [s]': f'{seconds["coarse"]:.2f}',
+            'sensitivity [s]': f'{seconds["sensitivity"]:.2f}',
+            'together [s]': f'{sum(seconds.values()):.2f}',
+        }
         for sheep, seconds in replan.items()
-    ]  # fmt: skip
-    return table(('N', 'coarse solve [s]', 'sensitivity [s]', 'together [s]'), rows)
+    )
 
 
-def _figure(results: Results, figures: Path) -> str:
+def _draw_convergence(results: Results, figures: Path) -> None:
     figure, axes = new(len(_QUANTITIES), 1)
     series = {
         f'limit of the same flock, {_LIMIT} markers': (('flock', str(_LIMIT)), BLUE, 'o-'),
@@ -262,6 +254,5 @@ def _figure(results: Results, figures: Path) -> str:
             place.plot(n, np.mean(first) * np.sqrt(n[0] / n), color='black', linewidth=0.6)
             place.set(xscale='log', yscale='log')
         place.set(xlabel='N', ylabel=f'error of the {name} [m]')
-    if axes[0, 1].get_legend_handles_labels()[0]:
-        axes[0, 1].legend(fontsize=7, frameon=False)
-    return save(figure, figures / 'mean_field.png')
+    legend(axes[0, 1])
+    save(figure, figures / 'mean_field.png')

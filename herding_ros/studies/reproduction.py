@@ -1,65 +1,87 @@
-"""The pages: templates, filled with what the studies found."""
+# SPDX-License-Identifier: Apache-2.0
+"""All studies, and the pages about them: templates filled with the findings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from string import Template
 
-from . import markdown
-from .study import Section
+from herding_ros.report import markdown
 
-_TITLES = {
-    'stochasticity': 'Influence of the noise (Table 1, Figure "compare iterations")',
-    'dogs': 'Influence of the number of dogs (Figure "trajectories")',
-    'stabilisation': 'Stabilisation (Figure "simulation")',
-    'symmetry': 'Symmetric herds (section 6.3)',
-    'baselines': 'Against simpler controllers',
-    'observation': 'Noisy observations',
-    'evacuation': 'Evacuation: guides in place of dogs',
-    'common_noise': 'Noise that all sheep have in common (remark in section 2.1)',
-    'mean_field': 'Large flocks: the mean-field limit as coarse model (section 7)',
-    'sampling': 'Cost of an expectation',
+from . import (
+    baselines,
+    common_noise,
+    dogs,
+    evacuation,
+    mean_field,
+    observation,
+    sampling,
+    stabilisation,
+    stochasticity,
+    symmetry,
+)
+from .study import Row, Section, Study
+
+OF_THE_PAPER: dict[str, Study] = {
+    'stochasticity': stochasticity,
+    'dogs': dogs,
+    'stabilisation': stabilisation,
+    'symmetry': symmetry,
+    'baselines': baselines,
 }
+"""Studies that are sections of the page about the paper."""
 
-OF_THEIR_OWN = ('observation', 'evacuation', 'common_noise', 'mean_field', 'sampling')
-"""Studies of what the paper does not show, each with a page of its own."""
+FURTHER: dict[str, Study] = {
+    'observation': observation,
+    'evacuation': evacuation,
+    'common_noise': common_noise,
+    'mean_field': mean_field,
+    'sampling': sampling,
+}
+"""Studies of what the paper does not show, each with its own page."""
+
+STUDIES = OF_THE_PAPER | FURTHER
 
 
 def page(sections: Mapping[str, Section]) -> str:
-    """Return the page about the paper's results, which leads to those about the others."""
-    further = [name for name in sections if name in OF_THEIR_OWN]
-    sections = {name: each for name, each in sections.items() if name not in OF_THEIR_OWN}
-    return (
-        _fill(
-            'reproduction',
-            {
-                'overview': markdown.overview(
-                    (name, row) for name, section in sections.items() for row in section.rows
-                ),
-                'goals': markdown.goals(
-                    goal for section in sections.values() for goal in section.goals
-                ),
-                'sections': '\n\n'.join(
-                    f'## {_TITLES[name]}\n\n{_fill(name, section.values)}'
-                    for name, section in sections.items()
-                ),
-                'further': '\n'.join(f'- [{_TITLES[name]}]({name}.md)' for name in further),
-            },
-        )
-        + '\n'
-    )
+    """Return the page about the paper's results, which links to those of the further studies."""
+    found = {name: sections[name] for name in OF_THE_PAPER}
+    values = {
+        'overview': _overview((name, row) for name, each in found.items() for row in each.rows),
+        'goals': markdown.goals(goal for each in found.values() for goal in each.goals),
+        'sections': '\n\n'.join(
+            f'## {OF_THE_PAPER[name].TITLE}\n\n{_fill(name, section.values)}'
+            for name, section in found.items()
+        ),
+        'further': '\n'.join(f'- [{each.TITLE}]({name}.md)' for name, each in FURTHER.items()),
+    }
+    return _fill('reproduction', values) + '\n'
 
 
 def single(name: str, section: Section) -> str:
     """Return the page about one study."""
-    parts = [f'# {_TITLES[name]}', markdown.overview((name, row) for row in section.rows)]
+    parts = [f'# {STUDIES[name].TITLE}', _overview((name, row) for row in section.rows)]
     if section.goals:
         parts.append(markdown.goals(section.goals))
     return '\n\n'.join([*parts, _fill(name, section.values)]) + '\n'
 
 
+def _overview(rows: Iterable[tuple[str, Row]]) -> str:
+    """Return the table of all figures and tables, each with the study that it is from."""
+    return markdown.table(
+        {
+            'figure or table': row.what,
+            'command': f'`study {name}`',
+            'paper': row.paper,
+            'ours': row.ours,
+            'remark': row.remark,
+        }
+        for name, row in rows
+    )
+
+
 def _fill(name: str, values: Mapping[str, str]) -> str:
-    """Return a template with its placeholders filled; every one needs a value."""
+    """Return a template with its placeholders filled; every placeholder needs a value."""
     path = Path(__file__).with_name('pages') / f'{name}.md'
     return Template(path.read_text(encoding='utf-8')).substitute(values).strip()

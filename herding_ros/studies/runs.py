@@ -1,18 +1,20 @@
-"""What the studies of whole runs have in common: their tasks, and how a run is judged."""
+# SPDX-License-Identifier: Apache-2.0
+"""What the studies of whole runs share: settings, the criterion of success, tables."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 import math
 from typing import Any
 
 from herding_ros.control.parameters import Control, PAPER
 from herding_ros.model.flock import ARRIVAL_DISTANCE
+from herding_ros.model.scenario import GOAL
+from herding_ros.report.markdown import table
+from herding_ros.report.statistics import Fraction, Mean, Median, significant
 
 from .experiments.settings import differences
-from .statistics import Fraction, Mean, Median, significant
-from .study import Results
+from .study import Options, Results, Row
 from .task import Task
 
 PLAIN: dict[str, Any] = {'mapping': {'estimator': 'plain', 'standard_error': 0.0}}
@@ -22,10 +24,33 @@ SETTINGS: dict[str, dict[str, Any]] = {
     'default': {},
     'paper': differences(PAPER, Control()),
 }
-"""Settings of the controller by name, as what differs from its defaults."""
+"""Settings of the controller by name, as differences from its defaults."""
+
+NAMES = {'default': 'our default', 'paper': "the paper's setting"}
+"""Their names on pages."""
 
 MAX_SPREAD = 0.6
-"""A flock whose spread was larger on the way was not herded but chased [m]."""
+"""A flock whose spread exceeded this on the way was chased rather than herded [m]."""
+
+
+LIMIT = 400.0
+"""Usual length of a run that does not arrive [s]."""
+
+
+def run_task(options: Options, cost: float, **parameters: Any) -> Task:
+    """Return the task of a run; what is not given is as in most studies, or small if quick."""
+    quick = options.quick
+    usual: dict[str, Any] = {
+        'policy': 'planner',
+        'settings': {},
+        'sheep': 6 if quick else 20,
+        'sigma': 0.01,
+        'goal': GOAL,
+        'time_limit': 10.0 if quick else LIMIT,
+    }
+    if parameters.get('policy', 'planner') == 'planner':
+        usual['paths'] = options.path_number(100)
+    return Task('herding', {**usual, **parameters}, cost)
 
 
 def with_mapping(settings: dict[str, Any], **changes: Any) -> dict[str, Any]:
@@ -33,54 +58,14 @@ def with_mapping(settings: dict[str, Any], **changes: Any) -> dict[str, Any]:
     return {**settings, 'mapping': {**settings.get('mapping', {}), **changes}}
 
 
-def paths_of(settings: dict[str, Any], paths: int) -> dict[str, Any]:
-    """Return settings with so many Monte Carlo paths."""
-    same = paths == Control().mapping.paths
-    return settings if same else with_mapping(settings, paths=paths)
+def point(goal: Iterable[float]) -> str:
+    """Return a goal for people."""
+    return '({:g}, {:g})'.format(*goal)
 
 
-def under(settings: dict[str, Any], runs: Results) -> Results:
-    """Return the runs under these settings, with any number of Monte Carlo paths."""
-
-    def same(task: Task) -> bool:
-        given = task.parameters['settings']
-        paths = given.get('mapping', {}).get('paths', Control().mapping.paths)
-        return bool(given == paths_of(settings, paths))
-
-    return runs.where(same)
-
-
-def run_task(
-    policy: str,
-    settings: dict[str, Any],
-    dogs: int,
-    sigma: float,
-    goal: Sequence[float],
-    seed: int,
-    time_limit: float,
-    cost: float,
-    sheep: int = 20,
-    stop: bool = True,
-    every: float = 1.0,
-    snapshots: Sequence[float] | None = None,
-    crowd: str = 'cohesive',
-) -> Task:
-    """Return the task of one run."""
-    parameters = {
-        'policy': policy,
-        'settings': settings,
-        'sheep': sheep,
-        'dogs': dogs,
-        'sigma': sigma,
-        'goal': goal,
-        'seed': seed,
-        'time_limit': time_limit,
-        'stop': stop,
-        'every': every,
-        'snapshots': snapshots,
-        'crowd': crowd,
-    }
-    return Task('herding', parameters, cost)
+def number(count: int, what: str) -> str:
+    """Return a number of things: `1 dog`, `2 dogs`."""
+    return f'{count} {what}{"s" * (count > 1)}'
 
 
 def safe(run: dict[str, Any]) -> bool:
@@ -94,43 +79,61 @@ def success(runs: Results) -> Fraction:
 
 
 def times(runs: Results) -> list[float]:
-    """Return the times of arrival [s], infinite for what did not arrive safely."""
+    """Return the times of arrival [s], infinite where the flock did not arrive safely."""
     return [float(run['time']) if safe(run) else math.inf for run in runs]
 
 
+def times_of_arrivals(runs: Results) -> list[float]:
+    """Return the times of safe arrivals alone [s], in order."""
+    return sorted(time for time in times(runs) if math.isfinite(time))
+
+
 def median_time(runs: Results) -> Median:
-    """Return the median time of arrival over all runs, those that failed included."""
+    """Return the median time of arrival over all runs, failed ones included."""
     return Median.of(times(runs))
 
 
-def summary(runs: Results) -> list[str]:
-    """Return what tables of runs say of them; see SUMMARY for the heads."""
-    arrived = [time for time in times(runs) if math.isfinite(time)]
-    arrived.sort()
-    return [
-        str(success(runs)),
-        str(median_time(runs)),
-        f'{significant(arrived[0])} to {significant(arrived[-1])}' if arrived else '–',
-        str(Mean.of(runs.values('max_spread'))),
-        significant(max(runs.values('max_spread'), default=math.nan)),
-        str(Mean.of([run['dogs_run'] / len(run['paths']['dogs'][0]) for run in runs])),
-        str(Mean.of(runs.values('energy'))),
-    ]
+def arrival_row(what: str, paper: str, runs: Results, others: Mapping[str, Results]) -> list[Row]:
+    """Return the row about the time of arrival of runs, if any, with others in its remark."""
+    if not len(runs):
+        return []
+    remarks = [f'{success(runs)} safe']
+    remarks += [f'{name}: {median_time(each)} s, {success(each)}' for name, each in others.items()]
+    return [Row(f'{what}: time of arrival', paper, f'{median_time(runs)} s', '; '.join(remarks))]
 
 
-SUMMARY = (
-    'safe arrivals', 'median time [s]', 'times of these, range [s]', 'largest spread, mean [m]',
-    'largest of all [m]', 'way of a dog [m]', 'energy ∫ Σ\\|u\\|² dt [m²/s]',
-)  # fmt: skip
+def summary(runs: Results) -> dict[str, object]:
+    """Return the columns of a row about runs."""
+    arrived = times_of_arrivals(runs)
+    return {
+        'safe arrivals': success(runs),
+        'median time [s]': median_time(runs),
+        'times of these, range [s]': (
+            f'{significant(arrived[0])} to {significant(arrived[-1])}' if arrived else '–'
+        ),
+        'largest spread, mean [m]': runs.mean('max_spread'),
+        'largest of all [m]': float(max(runs.values('max_spread'), default=math.nan)),
+        'path of a dog [m]': Mean.of(
+            [run['dogs_run'] / len(run['paths']['dogs'][0]) for run in runs]
+        ),
+        'energy ∫ Σ\\|u\\|² dt [m²/s]': runs.mean('energy'),
+    }
 
 
-def failures(runs: Results) -> list[tuple[str, ...]]:
-    """Return a row on each run that was no safe arrival, and why."""
+def failures(groups: Iterable[tuple[Mapping[str, str], Results]], agents: str = 'dogs') -> str:
+    """Return a table of all runs without safe arrival and their causes; nothing if all arrived.
+
+    groups: runs with the columns that distinguish them; agents: head of the number of dogs.
+    """
+    rows = [{**label, **row} for label, runs in groups for row in _failures(runs, agents)]
+    return f'Runs without safe arrival:\n\n{table(rows)}' if rows else ''
+
+
+def _failures(runs: Results, agents: str) -> list[dict[str, str]]:
     rows = []
     for task, run in runs.entries:
         if safe(run):
             continue
-        given = task.parameters
         if run['arrived']:
             why = f'arrived after {run["time"]:g} s, but spread up to {run["max_spread"]:.2f} m'
         elif run['closest'] < ARRIVAL_DISTANCE:
@@ -138,22 +141,14 @@ def failures(runs: Results) -> list[tuple[str, ...]]:
         else:
             why = 'the centre never got there'
         rows.append(
-            (
-                str(given['dogs']), '({:g}, {:g})'.format(*given['goal']), str(given['seed']), why,
-                f'{run["closest"]:.3f}', f'{run["final_distance"]:.3f}',
-                f'{run["max_spread"]:.2f}',
-            )
-        )  # fmt: skip
-    return sorted(rows)
-
-
-FAILURES = (
-    'dogs', 'goal', 'seed', 'what happened', 'closest [m]', 'distance at the end [m]',
-    'largest spread [m]',
-)  # fmt: skip
-
-
-def tolerant(settings: dict[str, Any], tolerance: float) -> dict[str, Any]:
-    """Return settings with another tolerance of aggressive mapping, eps_SM."""
-    mapping = replace(PAPER.mapping, tolerance=tolerance)
-    return with_mapping(settings, **differences(mapping, Control().mapping))
+            {
+                agents: str(task.parameters['dogs']),
+                'goal': point(task.parameters['goal']),
+                'seed': str(task.parameters['seed']),
+                'what happened': why,
+                'closest [m]': f'{run["closest"]:.3f}',
+                'distance at the end [m]': f'{run["final_distance"]:.3f}',
+                'largest spread [m]': f'{run["max_spread"]:.2f}',
+            }
+        )
+    return sorted(rows, key=lambda row: tuple(row.values()))

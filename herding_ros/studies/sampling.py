@@ -1,4 +1,5 @@
-"""Monte Carlo that spends no more than it must: cost of an expected centre by estimator."""
+# SPDX-License-Identifier: Apache-2.0
+"""Cost of an expected centre by Monte Carlo estimator."""
 
 from __future__ import annotations
 
@@ -7,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from herding_ros.report.markdown import Goal, table
+from herding_ros.report.statistics import Mean, significant
+from herding_ros.report.style import COLOURS, new, save
+
 from .experiments.sampling import COMPARED
-from .markdown import table
-from .pictures import COLOURS, new, save
-from .statistics import Mean, significant
-from .study import Goal, Options, Results, Row, Section
+from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
+TITLE = 'Cost of an expectation'
 DESCRIPTION = 'variance per cost of Monte Carlo estimators of the expected centre'
 
 _SIGMAS = (0.01, 0.02, 0.03, 0.04)
@@ -41,41 +44,35 @@ _WORDS = {
 def tasks(options: Options) -> list[Task]:
     """Return flocks under every noise; all estimators of one run in the same process."""
     quick = options.quick
-    herd = {'sheep': 6, 'dogs': 2} if quick else {'sheep': 30, 'dogs': 5}
+    common = {
+        'sheep': 6 if quick else 30,
+        'dogs': 2 if quick else 5,
+        'standard_error': 20.0 * _STANDARD_ERROR if quick else _STANDARD_ERROR,
+    }
     return [
-        Task(
-            'sampling',
-            {
-                **herd,
-                'sigma': sigma,
-                'seed': seed,
-                'standard_error': 20.0 * _STANDARD_ERROR if quick else _STANDARD_ERROR,
-            },
-            cost=0.2 if quick else 1e4 * sigma**2,
-        )
-        for sigma in ((_SHOWN,) if quick else _SIGMAS)
-        for seed in options.seed_range(5)
+        Task('sampling', {**common, **case}, 0.2 if quick else 1e4 * case['sigma'] ** 2)
+        for case in grid(sigma=(_SHOWN,) if quick else _SIGMAS, seed=options.seed_range(5))
     ]
 
 
 def draw(results: Results, figures: Path) -> Section:
     """Make the tables and the picture."""
     sigmas = results.parameter('sigma')
-    values = {
-        'seeds': str(len(results.parameter('seed'))),
-        'shown': f'{_SHOWN:g}',
-        'costs': _cost_table(results.of('sampling', sigma=_SHOWN)),
-        'gains': _gain_table(results, sigmas),
-        'picture': _figure(results, sigmas, figures),
-    }
     found = results.of('sampling', sigma=_SHOWN)
+    _draw_errors_and_gains(results, sigmas, figures)
+    values = {
+        'seeds': results.seeds,
+        'shown': f'{_SHOWN:g}',
+        'costs': table(_costs(found, name) for name in COMPARED if len(found)),
+        'gains': _gain_table(results, sigmas),
+    }
     rows, goals = [], []
     for cost, words in _COSTS.items():
         gain = _gain(found, _OURS, cost)
         what = f'σ = {_SHOWN:g}: cost of the expected centre, plain / ours, in {words}'
-        rows.append(Row(what, 'not in the paper', f'{gain}', 'at equal standard error'))
+        rows.append(Row(what, NOT_IN_PAPER, gain, 'at equal standard error'))
         reached = None if math.isnan(gain.value) else gain.value >= _GOAL
-        goals.append(Goal(what, f'≥ {_GOAL:g}', f'{gain}', reached))
+        goals.append(Goal(what, f'≥ {_GOAL:g}', gain, reached))
     return Section(values, rows, goals)
 
 
@@ -85,7 +82,7 @@ def _product(found: Results, name: str, cost: str) -> list[float]:
 
 
 def _gain(found: Results, name: str, cost: str) -> Mean:
-    """Return what plain Monte Carlo costs over what this costs, at the same standard error."""
+    """Return the cost of plain Monte Carlo over that of this estimator, at equal error."""
     plain, ours = _product(found, 'plain', cost), _product(found, name, cost)
     return Mean.of([a / b for a, b in zip(plain, ours, strict=True)])
 
@@ -100,45 +97,39 @@ def _off(found: Results, name: str) -> str:
     return '' if name == 'plain' else significant(math.sqrt(float(np.mean(squares))), 2)
 
 
-def _cost_table(found: Results) -> str:
-    rows = []
-    for name in COMPARED if len(found) else ():
-        paths = np.mean(found.values(name, 'paths'), axis=0)
-        rows.append(
-            (
-                _WORDS[name],
-                significant(1e3 * float(np.mean(found.values(name, 'standard_error'))), 2),
-                ' + '.join(f'{n:.0f}' for n in paths),
-                significant(float(np.mean(found.values(name, 'work')))),
-                significant(1e3 * float(np.mean(found.values(name, 'first')))),
-                significant(1e3 * float(np.mean(found.values(name, 'again')))),
-                _off(found, name),
-            )
-        )
-    head = (
-        'estimator', 'standard error reached [mm]', 'paths by level', 'work [paths]',
-        'CPU, first [ms]', 'CPU, later [ms]', 'from plain [standard errors]',
-    )  # fmt: skip
-    return table(head, rows)
+def _costs(found: Results, name: str) -> dict[str, object]:
+    """Return an estimator's row in the table of costs."""
+    error, work, first, again = (
+        float(np.mean(found.values(name, each)))
+        for each in ('standard_error', 'work', 'first', 'again')
+    )
+    paths = np.mean(found.values(name, 'paths'), axis=0)
+    return {
+        'estimator': _WORDS[name],
+        'standard error reached [mm]': significant(1e3 * error, 2),
+        'paths by level': ' + '.join(f'{n:.0f}' for n in paths),
+        'work [paths]': work,
+        'CPU, first [ms]': 1e3 * first,
+        'CPU, later [ms]': 1e3 * again,
+        'from plain [standard errors]': _off(found, name),
+    }
 
 
 def _gain_table(results: Results, sigmas: list[float]) -> str:
-    rows = [
-        (
-            _WORDS[name],
-            *(str(_gain(results.of('sampling', sigma=sigma), name, 'first')) for sigma in sigmas),
-            *(str(_gain(results.of('sampling', sigma=sigma), name, 'work')) for sigma in sigmas),
-        )
+    here = {sigma: results.of('sampling', sigma=sigma) for sigma in sigmas}
+    return table(
+        {
+            'plain / estimator': _WORDS[name],
+            **{f'CPU, σ = {s:g}': _gain(found, name, 'first') for s, found in here.items()},
+            **{f'work, {s:g}': _gain(found, name, 'work') for s, found in here.items()},
+        }
         for name in COMPARED
         if name != 'plain' and sigmas
-    ]
-    head = [f'CPU, σ = {sigma:g}' for sigma in sigmas] + [f'work, {sigma:g}' for sigma in sigmas]
-    return table(('plain / estimator', *head), rows)
+    )
 
 
-def _figure(results: Results, sigmas: list[float], figures: Path) -> str:
-    figure, axes = new(2, 1, width=4.8, height=3.8)
-    left, right = axes[0]
+def _draw_errors_and_gains(results: Results, sigmas: list[float], figures: Path) -> None:
+    figure, ((left, right),) = new(2, 1, width=4.8, height=3.8)
     found = results.of('sampling', sigma=_SHOWN)
     times = np.array([1e-2, 1e1])
     styles = [(COLOURS[k % len(COLOURS)], '-' if k < len(COLOURS) else '--') for k in range(9)]
@@ -150,12 +141,10 @@ def _figure(results: Results, sigmas: list[float], figures: Path) -> str:
             left.plot(found.values(name, 'first'), reached, '.', color=colour)
         gains = [_gain(results.of('sampling', sigma=s), name, 'first').value for s in sigmas]
         right.plot(sigmas, gains, style, marker='.', color=colour, label=words)
-    left.set(
-        xscale='log', yscale='log', xlabel='CPU time of the first evaluation [s]',
-        ylabel='standard error [m]',
-    )  # fmt: skip
+    left.set(xscale='log', yscale='log', xlabel='CPU time of the first evaluation [s]')
+    left.set(ylabel='standard error [m]')
     left.set_title(f'σ = {_SHOWN:g}', fontsize=9)
     right.set(yscale='log', xlabel='σ [m/s^1.5]', ylabel='plain / estimator, CPU time')
     handles, labels = right.get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc='outside right center', frameon=False)
-    return save(figure, figures / 'sampling.png')
+    save(figure, figures / 'sampling.png')

@@ -1,11 +1,16 @@
-"""What a study is: which tasks it wants, and what it makes of their results."""
+# SPDX-License-Identifier: Apache-2.0
+"""What a study is: the tasks that it computes, and what it makes of their results."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Protocol
+
+from herding_ros.report.markdown import Goal
+from herding_ros.report.statistics import Mean
 
 from .store import Result
 from .task import Task
@@ -13,24 +18,30 @@ from .task import Task
 
 @dataclass(frozen=True)
 class Options:
-    """What a user can ask for: fewer or more seeds and Monte Carlo paths, or a smoke test."""
+    """Options of the command line: the numbers of seeds and Monte Carlo paths, a smoke test."""
 
     seeds: int | None = None
     paths: int | None = None
     quick: bool = False
 
     def seed_range(self, usual: int) -> range:
-        """Return the seeds of a study that usually takes so many."""
+        """Return the seeds of a study that has `usual` of them by default."""
         return range(self.seeds or (1 if self.quick else usual))
 
     def path_number(self, usual: int) -> int:
-        """Return the Monte Carlo paths of a study that usually takes so many."""
+        """Return the number of Monte Carlo paths of a study that has `usual` by default."""
         return self.paths or (8 if self.quick else usual)
+
+
+def grid(**values: Sequence[Any]) -> Iterator[dict[str, Any]]:
+    """Yield every combination of values as parameters by name, the last one varying fastest."""
+    for each in product(*values.values()):
+        yield dict(zip(values, each, strict=True))
 
 
 @dataclass(frozen=True)
 class Results:
-    """Tasks of a study with their results; those that are missing are not in it."""
+    """Tasks of a study with their results; tasks without a result are left out."""
 
     entries: Sequence[tuple[Task, Result]]
 
@@ -44,7 +55,7 @@ class Results:
         )
 
     def where(self, wanted: Callable[[Task], bool]) -> Results:
-        """Return those whose task is wanted."""
+        """Return those whose task satisfies a condition."""
         return Results([(task, result) for task, result in self.entries if wanted(task)])
 
     def by_seed(self) -> dict[int, Result]:
@@ -52,55 +63,61 @@ class Results:
         return {task.parameters['seed']: result for task, result in self.entries}
 
     def values(self, *path: str) -> list[Any]:
-        """Return the value under this path of keys in each result, leaving out None."""
+        """Return the value under a path of keys in each result, leaving out None."""
         found = []
-        for _, result in self.entries:
-            value: Any = result
+        for value in self:
             for key in path:
                 value = None if value is None else value[key]
             if value is not None:
                 found.append(value)
         return found
 
+    def mean(self, *path: str) -> Mean:
+        """Return the mean of `values`."""
+        return Mean.of(self.values(*path))
+
+    def ratio(self, after: str, before: str) -> Mean:
+        """Return the mean of one value over another, where the latter is positive."""
+        return Mean.of([each[after] / each[before] for each in self if each[before] > 0.0])
+
     def parameter(self, name: str) -> list[Any]:
-        """Return the different values of a parameter, in order."""
-        found = {task.parameters[name] for task, _ in self.entries if name in task.parameters}
-        return sorted(found)
+        """Return the distinct values of a parameter, in order."""
+        return sorted(
+            {task.parameters[name] for task, _ in self.entries if name in task.parameters}
+        )
+
+    @property
+    def seeds(self) -> str:
+        """The number of seeds, for a page."""
+        return str(len(self.parameter('seed')))
 
     def __len__(self) -> int:
         """Return their number."""
         return len(self.entries)
 
-    def __iter__(self) -> Iterator[Result]:
-        """Go through the results."""
+    def __iter__(self) -> Iterator[Any]:
+        """Iterate over the results."""
         return (result for _, result in self.entries)
 
 
 @dataclass(frozen=True)
 class Row:
-    """A figure or table of the paper: its number, ours with an error, and a remark."""
+    """A figure or table of the paper: its number, ours with its uncertainty, and a remark."""
 
     what: str
     paper: str
-    ours: str
+    ours: object
     remark: str = ''
 
 
-@dataclass(frozen=True)
-class Goal:
-    """What is aimed at, what came out, and whether that is enough (None: not known)."""
-
-    text: str
-    bound: str
-    measured: str
-    reached: bool | None
+NOT_IN_PAPER = 'not in the paper'
 
 
 @dataclass(frozen=True)
 class Section:
-    """What a study found: the values for the placeholders of its page, rows and goals.
+    """Findings of a study: values for the placeholders of its page, rows and goals.
 
-    The page is pages/<study>.md. Values are Markdown; those of pictures are their links.
+    The page is pages/<study>.md. Values are Markdown; figures are in the folder `figures`.
     """
 
     values: Mapping[str, str]
@@ -111,11 +128,14 @@ class Section:
 class Study(Protocol):
     """A module of this package that can be run under its name."""
 
+    TITLE: str
+    """Heading of its page, or of its section of the page on the paper."""
+
     DESCRIPTION: str
-    """One line."""
+    """One line for the help text."""
 
     def tasks(self, options: Options) -> list[Task]:
-        """Return all that has to be computed."""
+        """Return everything that has to be computed."""
 
     def draw(self, results: Results, figures: Path) -> Section:
         """Draw figures into a folder and make tables, from results that may be incomplete."""

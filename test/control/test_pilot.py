@@ -16,8 +16,10 @@ from herding_ros.control.parameters import Control, Horizon, Sensor
 from herding_ros.control.pilot import Decision, LockstepPilot, Observed
 from herding_ros.control.plan import Plan
 from herding_ros.control.real_time_pilot import RealTimePilot, Timing
-from herding_ros.control.receding_horizon import RecedingHorizon, SolveReport, Window
+from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import never, NoTimeFor, Status
+from herding_ros.control.solve_report import SolveReport
+from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.state import Array, HerdState
 

@@ -190,7 +190,7 @@ def test_by_its_own_clock_a_plan_is_announced_before_it_is_played_and_solves_hol
     start: Callable[..., Any], peer: Any, herd: HerdState
 ) -> None:
     start(
-        'controller', dogs=2, lead=4.0, mapping__paths=4000, mapping__accuracy=1e-9,
+        'controller', dogs=2, lead=4.0, mapping__paths=4000, mapping__tolerance=0.0,
         mapping__max_iterations=12, mapping__standard_error=0.0,
     )  # fmt: skip
     pasture = Pasture(peer, herd)
@@ -262,7 +262,7 @@ def test_signal_while_solving_ends_at_once(
 ) -> None:
     process = start(
         'controller', dogs=2, lockstep=lockstep, lead=1000.0, mapping__paths=1000,
-        mapping__accuracy=1e-9, mapping__max_iterations=1000, mapping__standard_error=0.0,
+        mapping__tolerance=0.0, mapping__max_iterations=1000, mapping__standard_error=0.0,
     )  # fmt: skip
     pasture = Pasture(peer, herd)
     process.wait_for('ready')

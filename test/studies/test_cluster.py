@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same tasks on a Dask cluster of two worker processes."""
 
 from __future__ import annotations

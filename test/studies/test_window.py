@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One window: direct optimisation, the controller's mapping, and variants of Algorithm 1."""
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from herding_ros.studies.experiments.settings import changed, differences
 project = Holonomic().project
 
 SHORT = Horizon(length=8.0, accepted=4.0)
-MAPPING = replace(PAPER.mapping, method='output', paths=20, max_iterations=2, accuracy=1e-9)
+MAPPING = replace(PAPER.mapping, method='output', paths=20, max_iterations=2, tolerance=0.0)
 CONTROL = replace(PAPER, horizon=SHORT, mapping=MAPPING)
 HERD = {'sheep': 9, 'dogs': 2, 'sigma': 0.03, 'seed': 1}
 
@@ -80,7 +81,7 @@ def test_without_noise_the_gradient_is_that_of_the_coarse_model() -> None:
     model, wanted = each.coarse, each.deterministic.centre + 0.01
     u = 0.5 * each.deterministic.plan.u
     noise = noise_paths(np.random.default_rng(0), each.crowd, 9, model.dt, len(wanted) - 1, 3)
-    objective = Objective([Tracking(1.0, 0.0, wanted)], 0.0, u)
+    objective = Objective([Tracking(1.0, 0.0, wanted)])
     expected = model.value_and_gradient(objective, u)
     found = pathwise_gradient(model, noise, wanted, u)
     assert found[0] == pytest.approx(expected[0], rel=1e-12)
@@ -127,7 +128,7 @@ def variant(**changes: Any) -> dict[str, Any]:
 
 
 def test_the_variant_with_everything_is_the_controllers_aggressive_mapping() -> None:
-    mapping = replace(MAPPING, method='aggressive', tolerance=0.0, min_decrease=-1e9)
+    mapping = replace(MAPPING, method='aggressive')
     report = case().plan(replace(CONTROL, mapping=mapping)).report
     found = variant()
     assert found['before'] == pytest.approx(report.mapping_error_before, rel=1e-12)

@@ -1,1 +1,2 @@
-"""Costs of where the sheep are: the terms of the objective."""
+# SPDX-License-Identifier: Apache-2.0
+"""Costs of sheep, dogs and controls: the terms of the objective."""

@@ -1,7 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a cost's derivatives are those of its value."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -15,31 +17,37 @@ _ROUND_OFF = 1e-12
 
 
 def taylor_orders(
-    cost: Cost, trajectory: Trajectory, rng: np.random.Generator
-) -> tuple[float, float]:
-    """Return the orders in h at which two remainders vanish, in a random direction w (std 1 m).
+    cost: Cost, trajectory: Trajectory, u: Array, rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Return the orders in h at which |C(z + h w) - C(z) - h C'(z) w| vanishes.
 
-    |C(x + h w) - C(x) - h C'(x) w|   and   |C'(x + h w) - C'(x) - h C''(x) w|
-
-    for h around 1e-3. Both are 2 or more if the derivatives are right, and 1 if not; infinite
-    if nothing but round-off remains.
+    One each for z = x, d and u, for h around 1e-3 in a random direction w (standard deviation
+    1 m, and 1 m/s for u). An order is 2 or more if the derivative is right, and 1 if not;
+    infinite if nothing but round-off remains, as where C does not depend on z.
     """
-    w = np.zeros_like(trajectory.xs)
-    w[:, :, : trajectory.n] = rng.standard_normal(w[:, :, : trajectory.n].shape)
-    value, derivative = cost.value_and_derivative(trajectory)
-    slope, change = float((derivative * w).sum()), cost.second_derivative(trajectory, w)
-    values, derivatives = [], []
-    for h in _STEPS:
-        moved = Trajectory(
-            trajectory.dt, trajectory.n, trajectory.xs + h * w, trajectory.vs, trajectory.ds
-        )
-        there, derivative_there = cost.value_and_derivative(moved)
-        values.append(abs(there - value - h * slope))
-        derivatives.append(float(np.linalg.norm(derivative_there - derivative - h * change)))
+    value, by = cost.value_and_derivatives(trajectory, u)
+    interval = trajectory.dt * (len(trajectory.xs) - 1) / len(u)
+    wx = np.zeros_like(trajectory.xs)
+    wx[:, :, : trajectory.n] = rng.standard_normal(wx[:, :, : trajectory.n].shape)
+    wd, wu = rng.standard_normal(trajectory.ds.shape), rng.standard_normal(u.shape)
+
+    def order(slope: float, wx: Array | float, wd: Array | float, wu: Array | float) -> float:
+        remainders = []
+        for h in _STEPS:
+            moved = replace(trajectory, xs=trajectory.xs + h * wx, ds=trajectory.ds + h * wd)
+            there, _ = cost.value_and_derivatives(moved, u + h * wu)
+            remainders.append(abs(there - value - h * slope))
+        return _order(np.array(remainders), abs(value))
+
     return (
-        _order(np.array(values), abs(value)),
-        _order(np.array(derivatives), float(np.linalg.norm(derivative))),
+        order(_dot(by.x, wx), wx, 0.0, 0.0),
+        order(_dot(by.d, wd), 0.0, wd, 0.0),
+        order(interval * _dot(by.u, wu), 0.0, 0.0, wu),
     )
+
+
+def _dot(derivative: Array | None, direction: Array) -> float:
+    return 0.0 if derivative is None else float((derivative * direction).sum())
 
 
 def _order(remainders: Array, scale: float) -> float:

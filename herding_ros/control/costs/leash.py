@@ -1,4 +1,5 @@
-"""Dogs shall not run off."""
+# SPDX-License-Identifier: Apache-2.0
+"""Dogs should not run off."""
 
 from __future__ import annotations
 
@@ -8,22 +9,23 @@ import numpy as np
 
 from herding_ros.model.state import Array, Trajectory
 
+from .cost import Derivatives
+
 
 @dataclass(frozen=True)
 class Leash:
-    """Distance of the dogs from the reference.
+    """Distance of the dogs from the reference of the flock.
 
-    C = int c/2 sum_m |d_m - Z|^2 dt with c = weight and Z = reference (K+1, 2) [m]. A dog is
-    where its control has brought it, so this is a function of the control, whatever sheep do.
+    C = int c/2 sum_m |d_m - Z|^2 dt with c = weight and Z = reference (K+1, 2) [m].
     """
 
     weight: float
     reference: Array
 
-    def value_and_gradient(self, trajectory: Trajectory, intervals: int) -> tuple[float, Array]:
-        """Return C and its gradient in L2(0, T) by a control of so many intervals."""
-        away = trajectory.d[1:] - self.reference[1:, None]
+    def value_and_derivatives(self, trajectory: Trajectory, u: Array) -> tuple[float, Derivatives]:
+        """Return C and its derivative by the positions of the dogs, c dt (d_m - Z)."""
+        away = trajectory.ds[1:, :2] - self.reference[1:, :, None]
         value = 0.5 * trajectory.dt * self.weight * float(np.square(away).sum())
-        # Each control moves its dog at all later instants.
-        later = trajectory.dt * self.weight * np.cumsum(away[::-1], axis=0)[::-1]
-        return value, later.reshape(intervals, -1, *away.shape[1:]).mean(axis=1)
+        derivative = np.zeros_like(trajectory.ds)
+        derivative[1:, :2] = trajectory.dt * self.weight * away
+        return value, Derivatives(d=derivative)

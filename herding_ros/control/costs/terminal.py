@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the flock is at the end of the window counts more."""
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ import numpy as np
 
 from herding_ros.model.state import Array, Trajectory
 
+from .cost import Derivatives
 from .tracking import Tracking
 
 
@@ -23,22 +25,11 @@ class Terminal:
     weight: float
     tracking: Tracking
 
-    def value_and_derivative(self, trajectory: Trajectory) -> tuple[float, Array]:
-        """Return C and its derivative by xs."""
-        derivative = np.zeros_like(trajectory.xs)
-        value, derivative[-2:] = self._last.value_and_derivative(self._last_step(trajectory))
-        return value, derivative
-
-    def second_derivative(self, trajectory: Trajectory, dx: Array) -> Array:
-        """Return the Hessian times dx."""
-        out = np.zeros_like(dx)
-        out[-2:] = self._last.second_derivative(self._last_step(trajectory), dx[-2:])
-        return out
-
-    @property
-    def _last(self) -> Tracking:
-        return replace(self.tracking, reference=self.tracking.reference[-2:])
-
-    def _last_step(self, trajectory: Trajectory) -> Trajectory:
+    def value_and_derivatives(self, trajectory: Trajectory, u: Array) -> tuple[float, Derivatives]:
+        """Return C and its derivative by the positions of the sheep."""
         xs, vs, ds = trajectory.xs[-2:], trajectory.vs[-2:], trajectory.ds[-2:]
-        return Trajectory(self.weight, trajectory.n, xs, vs, ds)
+        last_step = Trajectory(self.weight, trajectory.n, xs, vs, ds)
+        last = replace(self.tracking, reference=self.tracking.reference[-2:])
+        derivative = np.zeros_like(trajectory.xs)
+        value, derivative[-2:] = last.value_and_derivative(last_step)
+        return value, Derivatives(x=derivative)

@@ -1,13 +1,16 @@
-"""The flock shall be where the reference is, and together."""
+# SPDX-License-Identifier: Apache-2.0
+"""The flock should be where the reference is, and together."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from herding_ros.model.state import Array, Trajectory
 from herding_ros.model.tracking_cost import tracking_cost
+
+from .cost import Derivatives
 
 
 @dataclass(frozen=True)
@@ -25,8 +28,13 @@ class Tracking:
     spread_weight: float
     reference: Array
 
+    def value_and_derivatives(self, trajectory: Trajectory, u: Array) -> tuple[float, Derivatives]:
+        """Return C and its derivative by the positions of the sheep."""
+        value, derivative = self.value_and_derivative(trajectory)
+        return value, Derivatives(x=derivative)
+
     def value_and_derivative(self, trajectory: Trajectory) -> tuple[float, Array]:
-        """Return C and its derivative by xs."""
+        """Return C and its derivative (K+1, 2, lanes) by the positions of the sheep."""
         derivative = np.empty_like(trajectory.xs)
         value = tracking_cost(
             trajectory.xs,
@@ -38,8 +46,3 @@ class Tracking:
             derivative,
         )
         return value, derivative
-
-    def second_derivative(self, trajectory: Trajectory, dx: Array) -> Array:
-        """Return the Hessian times dx: C is quadratic, so its derivative at dx without Z."""
-        homogeneous = replace(self, reference=np.zeros_like(self.reference))
-        return homogeneous.value_and_derivative(replace(trajectory, xs=dx))[1]

@@ -1,15 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
 """One window of Table 1: a flock, its dogs, and the noise that a plan has to cope with."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.parameters import Control
-from herding_ros.control.receding_horizon import RecedingHorizon, Window
+from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import mean_centre
 from herding_ros.model.noise import noise_paths, NoisePaths
@@ -17,16 +21,18 @@ from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array, HerdState
 
+from .settings import changed, with_paths
+
 _AT_ONCE = 100
-"""Paths whose noise is in memory at a time."""
+"""Number of paths whose noise is in memory at a time."""
 
 
 @dataclass(frozen=True)
 class Case:
     """The first window of the reference scenario, for a noise and a seed.
 
-    The seed gives the flock, and two independent sets of noise paths: those that a method sees
-    (seen), and those on which it is judged.
+    The seed determines the flock and two independent sets of noise paths: those that a method
+    sees (seen), and those on which it is judged.
     """
 
     sheep: int
@@ -36,6 +42,29 @@ class Case:
     control: Control
     common_noise: float = 0.0
 
+    @classmethod
+    def experiment(cls, run: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
+        """Return `run`, a function of a case and more, as one of values that JSON can hold.
+
+        The case is given by its fields: control as differences from Control(), and paths, the
+        number of Monte Carlo paths of its mapping.
+        """
+
+        def of_values(
+            sheep: int,
+            dogs: int,
+            sigma: float,
+            seed: int,
+            control: dict[str, Any],
+            paths: int | None = None,
+            common_noise: float = 0.0,
+            **more: Any,
+        ) -> dict[str, Any]:
+            settings = with_paths(changed(Control(), control), paths)
+            return run(cls(sheep, dogs, sigma, seed, settings, common_noise), **more)
+
+        return of_values
+
     @cached_property
     def crowd(self) -> Crowd:
         """The sheep."""
@@ -43,7 +72,7 @@ class Case:
 
     @cached_property
     def state(self) -> HerdState:
-        """Where everyone is at the start."""
+        """The herd at the start."""
         rng = np.random.default_rng(self.seed)
         return initial_herd(self.sheep, self.dogs, np.array(GOAL), rng)
 
@@ -97,9 +126,9 @@ class Case:
     def judge(self, u: Array, paths: int, mirrored: bool = False) -> tuple[Array, float]:
         """Return expected centres (K+1, 2) [m] under u on noise that no method has seen.
 
-        And how far they are from the true expectation, which many more paths would give: an
-        estimate in the norm of `error`, from groups of 100 paths. When mirrored, each path is
-        taken a second time with its noise reversed, and what is linear in the noise cancels.
+        And their standard error in the norm of `error`, from groups of 100 paths. When mirrored,
+        each path is taken a second time with its noise reversed, so that all that is linear in
+        the noise cancels.
         """
         rng = np.random.default_rng([self.seed, 20_000])
         groups = []
@@ -119,6 +148,6 @@ class Case:
         return {'error': self.error(centres), 'uncertainty': uncertainty}
 
     def trace(self, centres: Array) -> list[list[float]]:
-        """Return centres every 0.5 s, rounded, for a picture."""
+        """Return centres every 0.5 s, rounded, for a figure."""
         every = max(round(0.5 / self.coarse.dt), 1)
         return [[round(float(value), 5) for value in point] for point in centres[::every]]

@@ -1,4 +1,5 @@
-"""Direct optimisation of the fine model: what a mapping could reach, and what it costs."""
+# SPDX-License-Identifier: Apache-2.0
+"""Direct optimisation of the fine model: the best that a mapping could reach, and its cost."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from herding_ros.control.coarse_model import CoarseModel
-from herding_ros.control.parameters import Control
+from herding_ros.control.solution import Budget, Problem
 from herding_ros.control.spg import spg
 from herding_ros.model.dynamics import reverse_sweep, rollout
 from herding_ros.model.flock import centre
@@ -16,7 +17,6 @@ from herding_ros.model.noise import NoisePaths
 from herding_ros.model.state import Array
 
 from .case import Case
-from .settings import changed
 
 _TOLERANCE = 1e-4
 
@@ -24,7 +24,7 @@ _TOLERANCE = 1e-4
 def pathwise_gradient(
     model: CoarseModel, noise: NoisePaths, wanted: Array, u: Array
 ) -> tuple[float, Array]:
-    """Return |X(u) - wanted|^2 / 2 in L2(0, T), X the mean centre over the paths; its gradient.
+    """Return |X(u) - reference|^2 / 2 in L2(0, T), X the mean centre over the paths; its gradient.
 
     The sample average is a deterministic function of u. Its derivative is the mean over the
     paths of the derivatives along each path, by the reverse sweep with that path's noise. As
@@ -53,26 +53,16 @@ def pathwise_gradient(
     return value, gradient / model.interval
 
 
-def run(
-    sheep: int,
-    dogs: int,
-    sigma: float,
-    seed: int,
-    paths: int,
-    iterations: int,
-    judge_paths: int,
-    control: dict[str, Any],
-) -> dict[str, Any]:
+def run(case: Case, iterations: int, judge_paths: int) -> dict[str, Any]:
     """Minimise the error of the expected centre itself, on the paths that a mapping sees.
 
-    Starts from the deterministic plan, as a mapping does. errors are those of each gradient
-    that was taken; each costs a rollout and a reverse sweep of every path.
+    Starts from the deterministic plan, as a mapping does. errors: at each gradient; a gradient
+    costs a rollout and a reverse sweep of every path.
     """
-    case = Case(sheep, dogs, sigma, seed, changed(Control(), control))
     u_coarse, wanted = case.deterministic.plan.u, case.deterministic.centre
-    noise = case.draw(np.random.default_rng(case.seen), paths)
+    noise = case.draw(np.random.default_rng(case.seen), case.control.mapping.paths)
     errors: list[float] = []
-    # In units of the first value the projected gradient has a size that says something.
+    # Relative to the first value the projected gradient can be compared with a tolerance.
     model = case.coarse
     first = 0.5 * case.error(case.expected_centre(u_coarse, noise)) ** 2
 
@@ -81,7 +71,8 @@ def run(
         errors.append(math.sqrt(2.0 * value))
         return value / first, gradient / first
 
-    found = spg(value_and_gradient, case.admissible, u_coarse, model.inner, _TOLERANCE, iterations)
+    problem = Problem(value_and_gradient, case.admissible, model.inner)
+    found = spg(problem, u_coarse, Budget(iterations, _TOLERANCE))
     return {
         'status': found.status.value,
         'before': errors[0],

@@ -1,4 +1,5 @@
-"""What an expected centre costs, by every estimator that we know."""
+# SPDX-License-Identifier: Apache-2.0
+"""Cost of an expected centre by estimator."""
 
 from __future__ import annotations
 
@@ -45,8 +46,9 @@ def run(sheep: int, dogs: int, sigma: float, seed: int, standard_error: float) -
     """Estimate the expected centre under the plan without noise, to a standard error [m].
 
     For each estimator: first and again, the CPU time [s] of the first evaluation, which draws
-    the noise and settles the paths, and of the second; work in paths of the fine model; off:
-    root mean square distance from the plain estimate over the window [m], which has other noise.
+    the noise and determines the number of paths, and of the second; work in paths of the fine
+    model; off: root mean square distance from the plain estimate, which has other noise, over the
+    window [m].
     """
     warm_up()
     warm_up_others()
@@ -59,7 +61,7 @@ def run(sheep: int, dogs: int, sigma: float, seed: int, standard_error: float) -
     plain = None
     for number, (name, estimator) in enumerate(COMPARED.items()):
         noise = Noise(fine, estimator, 1000 * (1 + case.seen) + number)
-        # One thread: CPU time does not depend on how well threads share a core.
+        # One thread: CPU time does not depend on how threads share a core.
         expected = ExpectedCentre(fine, estimator, noise, standard_error, _UNLIMITED, threads=1)
         started = time.process_time()
         each = expected(u)

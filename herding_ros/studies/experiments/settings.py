@@ -1,17 +1,19 @@
-"""Parameters as the few values in which they differ from the defaults, for JSON and people."""
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters as their differences from the defaults, for JSON."""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import Any, TypeVar
 
+from herding_ros.control.parameters import Control
 from herding_ros.model.parameters import Parameters
 
 _P = TypeVar('_P', bound=Parameters)
 
 
 def differences(given: Parameters, default: Parameters) -> dict[str, Any]:
-    """Return the fields, nested ones as dicts, in which given is not default."""
+    """Return the fields, nested ones as dicts, in which `given` is not `default`."""
     found: dict[str, Any] = {}
     for field in dataclasses.fields(given):
         value, usual = getattr(given, field.name), getattr(default, field.name)
@@ -22,7 +24,7 @@ def differences(given: Parameters, default: Parameters) -> dict[str, Any]:
 
 
 def changed(default: _P, values: dict[str, Any]) -> _P:
-    """Undo `differences`. Raises TypeError or ValueError for what is not allowed."""
+    """Undo `differences`. Raises TypeError or ValueError for invalid parameters."""
     return dataclasses.replace(
         default,
         **{
@@ -30,3 +32,10 @@ def changed(default: _P, values: dict[str, Any]) -> _P:
             for name, value in values.items()
         },
     )
+
+
+def with_paths(control: Control, paths: int | None) -> Control:
+    """Return control with another number of Monte Carlo paths; None keeps it."""
+    if paths is None:
+        return control
+    return dataclasses.replace(control, mapping=dataclasses.replace(control.mapping, paths=paths))

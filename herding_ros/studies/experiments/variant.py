@@ -1,23 +1,24 @@
-"""The paper's Algorithm 1 put together from its parts, to see what each of them does."""
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's Algorithm 1 with some of its parts exchanged, to measure what each contributes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+import math
 from typing import Any
 
 import numpy as np
 
+from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
-from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import OPTIMISERS
-from herding_ros.control.solution import Solution
-from herding_ros.control.space_mapping import aggressive
+from herding_ros.control.solution import Budget, Problem, Solution
+from herding_ros.control.space_mapping import aggressive_mapping, MappingProblem
 from herding_ros.model.state import Array
 
 from .case import Case
-from .settings import changed
 
 _TOLERANCE = 1e-5
 _MAX_ITERATIONS = 200
@@ -38,28 +39,19 @@ def extraction(case: Case, optimiser: str, observable: str) -> Callable[[Array, 
     def extract(target: Array, start: Array) -> Solution:
         anchor = case.deterministic.plan.u
         gamma = case.control.weights.control
-        objective = Objective([Tracking(*weights, target)], gamma, anchor)
-        return OPTIMISERS[optimiser](
-            partial(case.coarse.value_and_gradient, objective),
-            case.admissible,
-            start,
-            case.coarse.inner,
-            _TOLERANCE,
-            _MAX_ITERATIONS,
+        objective = Objective([Tracking(*weights, target), ControlEffort(gamma, anchor)])
+        problem = Problem(
+            partial(case.coarse.value_and_gradient, objective), case.admissible, case.coarse.inner
         )
+        return OPTIMISERS[optimiser](problem, start, Budget(_MAX_ITERATIONS, _TOLERANCE))
 
     return extract
 
 
 def run(
-    sheep: int,
-    dogs: int,
-    sigma: float,
-    seed: int,
-    paths: int,
+    case: Case,
     judge_paths: int,
     iterations: int,
-    control: dict[str, Any],
     optimiser: str,
     observable: str,
     common_numbers: bool,
@@ -69,12 +61,11 @@ def run(
 
     optimiser: 'spg' or 'ncg', for parameter extraction; observable: 'centre' or 'individuals';
     common_numbers: the same paths in each evaluation of the fine model, or new ones; broyden: the
-    quasi-Newton update, or B = I throughout. before and after are what the method believes, on
-    the noise it saw; judged is the truth about the control it chose.
+    quasi-Newton update, or B = I throughout. before, after: errors on the noise that the method
+    has seen; judged: of the control that it chose, on other noise.
     """
-    case = Case(sheep, dogs, sigma, seed, changed(Control(), control))
     model, u_coarse = case.coarse, case.deterministic.plan.u
-    rng = np.random.default_rng(case.seen)
+    rng, paths = np.random.default_rng(case.seen), case.control.mapping.paths
     common = case.draw(rng, paths) if common_numbers else None
     calls = 0
 
@@ -89,16 +80,13 @@ def run(
         calls += found.calls
         return found.u
 
-    mapped = aggressive(
-        fine,
+    mapped = aggressive_mapping(
+        MappingProblem(fine, case.error, u_coarse),
         extract,
-        case.error,
         case.admissible,
-        u_coarse,
         model.inner,
-        tolerance=0.0,
-        min_decrease=-1e9,
-        max_iterations=iterations,
+        Budget(iterations),
+        min_decrease=-math.inf,
         quasi_newton=broyden,
     )
     return {

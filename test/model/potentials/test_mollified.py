@@ -111,8 +111,8 @@ def test_table_agrees_with_the_derivatives(width: float) -> None:
 
 
 def test_finite_width_is_needed() -> None:
-    with pytest.raises(ValueError, match=r'Mollified.width is 0.0, allowed is'):
+    with pytest.raises(ValueError, match=r'Mollified.width must be .*, got 0.0'):
         Mollified(Morse(), 0.0)
-    with pytest.raises(ValueError, match=r'Mollified.potential is 3, allowed is a Potential'):
+    with pytest.raises(ValueError, match=r'Mollified.potential must be a Potential, got 3'):
         Mollified(3)  # type: ignore[arg-type]
     assert replace(Mollified(Morse()), width=0.1) == Mollified(Morse(), 0.1)  # one table for both

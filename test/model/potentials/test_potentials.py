@@ -105,8 +105,8 @@ def test_tabulated_reproduces_the_potential_it_samples() -> None:
         (lambda: Tabulated((1.0,), (1.0,)), 'at least two increasing numbers'),
         (lambda: Tabulated((0.0, 1.0), (1.0,)), 'Tabulated.values must have shape (2,), got (1,)'),
         (lambda: Tabulated((0.0, np.nan), (1.0, 0.0)), 'Tabulated.distances must be finite'),
-        (lambda: PowerLaw(length=0.0), 'PowerLaw.length is 0.0, allowed is'),
-        (lambda: Crowd(sheep=3), 'Crowd.sheep is 3, allowed is a Potential'),  # type: ignore
+        (lambda: PowerLaw(length=0.0), 'PowerLaw.length must be at least 1e-09, got 0.0'),
+        (lambda: Crowd(sheep=3), 'Crowd.sheep must be a Potential, got 3'),  # type: ignore
     ],
 )
 def test_what_makes_no_potential_is_refused(make: Callable[[], object], message: str) -> None:

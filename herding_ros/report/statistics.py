@@ -1,10 +1,12 @@
-"""Means, fractions and medians, each with what is known of its error."""
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates with their uncertainty, and how they are written."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -20,7 +22,7 @@ class Mean:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Mean:
-        """Take them of independent values; of none, all is NaN."""
+        """Return the mean of independent values; NaN without any."""
         n = len(values)
         value = float(np.mean(values)) if n else math.nan
         error = float(np.std(values, ddof=1)) / math.sqrt(n) if n > 1 else math.nan
@@ -28,8 +30,6 @@ class Mean:
 
     def __str__(self) -> str:
         """Return `value ± error`, the error with two digits and the value to the same place."""
-        if math.isnan(self.value):
-            return '–'
         if math.isnan(self.error) or self.error == 0.0:
             return significant(self.value)
         place = 1 - math.floor(math.log10(self.error))
@@ -37,15 +37,15 @@ class Mean:
         exponent = math.floor(math.log10(largest)) if largest < 1e-2 else 0
         place = max(place + exponent, 0)
         value, error = (
-            f'{round(each / 10.0**exponent, place) + 0.0:.{place}f}'
+            f'{round(each / 10.0**exponent, place) + 0.0:.{place}f}'  # + 0.0 turns -0.0 into 0.0
             for each in (self.value, self.error)
-        )  # 0.0 is added, so that none is -0.0
+        )
         return f'({value} ± {error})e{exponent}' if exponent else f'{value} ± {error}'
 
 
 @dataclass(frozen=True)
 class Fraction:
-    """How many of all, with the exact (Clopper and Pearson) 95 % confidence interval."""
+    """A fraction of successes with its exact 95 % confidence interval (Clopper and Pearson)."""
 
     successes: int
     count: int
@@ -54,7 +54,7 @@ class Fraction:
 
     @classmethod
     def of(cls, outcomes: Sequence[bool]) -> Fraction:
-        """Take it of independent outcomes."""
+        """Return the fraction of independent outcomes that are true."""
         k, n = sum(map(bool, outcomes)), len(outcomes)
         if not n:
             return cls(0, 0, 0.0, 1.0)
@@ -63,7 +63,7 @@ class Fraction:
 
     @property
     def value(self) -> float:
-        """The fraction itself; NaN of nothing."""
+        """The fraction itself; NaN without outcomes."""
         return self.successes / self.count if self.count else math.nan
 
     def __str__(self) -> str:
@@ -78,8 +78,8 @@ class Fraction:
 class Median:
     """A median with its 95 % confidence interval from order statistics.
 
-    Infinity is a value like any other, so that what has not ended yet can be counted in. The
-    ends of the interval are infinite as well when there are too few values to say better.
+    Infinity is a value like any other: it stands for an event that has not happened. With too
+    few values for the confidence the interval is unbounded.
     """
 
     value: float
@@ -88,7 +88,7 @@ class Median:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Median:
-        """Take it of independent values; of none, all is NaN."""
+        """Return the median of independent values; NaN without any."""
         if not len(values):
             return cls(math.nan, math.nan, math.nan)
         ordered = np.sort(np.asarray(values, dtype=float))
@@ -111,8 +111,27 @@ class Median:
         return f'{value} ({low} to {high})'
 
 
+@dataclass(frozen=True)
+class Quartiles:
+    """Median and quartiles of repeated measurements."""
+
+    low: float
+    median: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Any) -> Quartiles:
+        """Return those of a non-empty array of any shape."""
+        return cls(*(float(q) for q in np.percentile(values, [25, 50, 75])))
+
+    def __str__(self) -> str:
+        """Return `median (quartile to quartile)`."""
+        low, median, high = map(significant, (self.low, self.median, self.high))
+        return f'{median} ({low} to {high})'
+
+
 def significant(value: float, digits: int = 3) -> str:
-    """Return a value with so many significant digits."""
+    """Return a value with this many significant digits; a dash for NaN and infinity."""
     if not math.isfinite(value):
         return '–'
     size = math.floor(math.log10(abs(value))) if value else 0

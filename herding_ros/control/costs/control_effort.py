@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dogs should not run more than they need to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from herding_ros.model.state import Array, Trajectory
+
+from .cost import Derivatives
+
+
+@dataclass(frozen=True)
+class ControlEffort:
+    """Distance of the control from a reference (paper, cost functional, last term).
+
+    C = int gamma/2 |u - u_ref|^2 dt with gamma = weight [s^2] and u_ref = reference [m/s], in
+    the shape of u or a number.
+    """
+
+    weight: float
+    reference: Array | float = 0.0
+
+    def value_and_derivatives(self, trajectory: Trajectory, u: Array) -> tuple[float, Derivatives]:
+        """Return C and its gradient gamma (u - u_ref)."""
+        interval = trajectory.dt * ((len(trajectory.xs) - 1) // len(u))
+        change = u - self.reference
+        value = 0.5 * interval * self.weight * float(np.square(change).sum())
+        return value, Derivatives(u=self.weight * change)

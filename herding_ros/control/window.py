@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a solve returns: a plan, what it is expected to do, and how it was found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from herding_ros.model.state import Array
+
+from .plan import Plan
+from .solve_report import SolveReport
+
+
+@dataclass(frozen=True)
+class Window:
+    """A plan with its prediction.
+
+    centre: (K+1, 2) expected centre of the sheep [m], dogs: (K+1, M, 2) [m], on the time
+    grid of the prediction, dt [s].
+    """
+
+    plan: Plan
+    report: SolveReport
+    dt: float
+    centre: Array
+    dogs: Array

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How all figures look, and how a herd is drawn in them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
+from matplotlib.figure import Figure
+import numpy as np
+
+# Blue and red of this lightness stay apart with any kind of colour vision, and in grey.
+BLUE, RED, GREY = '#2166ac', '#c2292b', '#5f6368'
+COLOURS = (BLUE, RED, '#1b9e77', '#7b5aa6', '#c98a00', GREY)
+"""Colours of the series of a diagram."""
+
+_MOST_DOTS = 1000
+"""The density of a flock with more sheep than this is drawn; dots would be a blob."""
+_CELLS = 40
+"""Cells of the density across the flock."""
+
+
+def new(columns: int, rows: int, width: float = 4.0, height: float = 3.4) -> tuple[Figure, Any]:
+    """Return a figure and its axes (rows, columns), each of this size [inch]."""
+    figure = Figure(figsize=(width * columns, height * rows), layout='constrained')
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def save(figure: Figure, path: str | os.PathLike[str], dpi: int = 120) -> None:
+    """Save a figure as PNG, its folder included."""
+    for axes in figure.axes:
+        axes.spines[['top', 'right']].set_visible(False)
+        axes.tick_params(labelsize=8)
+        axes.grid(color='0.92')
+        axes.set_axisbelow(True)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=dpi, metadata={'Software': None})
+
+
+def legend(axes: Axes) -> None:
+    """Add the legend, where there is anything to explain."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=7, frameon=False)
+
+
+def draw_paths(axes: Axes, dogs: Any, centre: Any, label: str | None = None) -> None:
+    """Draw the paths of dogs (T, M, 2) and of the centre (T, 2) [m]."""
+    for m in range(np.shape(dogs)[1]):
+        axes.plot(*np.asarray(dogs)[:, m].T, color=RED, linewidth=0.8, alpha=0.6)
+    axes.plot(*np.transpose(centre), color=BLUE, linewidth=1.6, label=label)
+
+
+def draw_herd(
+    axes: Axes,
+    x: Any,
+    d: Any,
+    alpha: float = 1.0,
+    size: float = 3.0,
+    labels: tuple[str | None, str | None] = (None, None),
+) -> None:
+    """Draw sheep at x (N, 2) as dots, or as a density if they are many, and dogs at d (M, 2) [m].
+
+    size: diameter of a sheep's dot [pt]; labels: of the sheep and of the dogs.
+    """
+    common: dict[str, Any] = {'markeredgewidth': 0, 'alpha': alpha}
+    if len(x) <= _MOST_DOTS:
+        axes.plot(*np.transpose(x), 'o', color=BLUE, markersize=size, label=labels[0], **common)
+    else:
+        shades = [to_rgba(BLUE, 0.15 * alpha), to_rgba(BLUE, alpha)]
+        axes.hexbin(
+            *np.transpose(x), gridsize=_CELLS, mincnt=1, linewidths=0, zorder=2,
+            cmap=LinearSegmentedColormap.from_list('density', shades),
+        )  # fmt: skip
+        axes.plot([], [], 'h', color=BLUE, markersize=2 * size, label=labels[0], **common)
+    axes.plot(*np.transpose(d), '^', color=RED, markersize=2 * size, label=labels[1], **common)
+
+
+def draw_goal(axes: Axes, goal: Any, size: float = 9.0, label: str | None = None) -> None:
+    """Draw a cross at the goal (2,) [m], and let both axes have the same scale."""
+    axes.plot(*goal, 'x', color='black', markersize=size, markeredgewidth=2, label=label)
+    axes.set_aspect('equal', adjustable='datalim')

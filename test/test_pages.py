@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Holds the pages against the code. Run as a program, it writes the parameter tables.
+
+source scripts/env && python test/test_pages.py
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+import dataclasses
+import importlib
+from pathlib import Path
+import re
+from typing import Any
+
+import pytest
+
+from herding_ros.control.parameters import Control
+from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.parameters import describe_limits, Parameters
+from herding_ros.model.simulation import World
+from herding_ros.nodes import recorder
+from herding_ros.nodes.controller import ControllerSettings
+from herding_ros.nodes.sim import SimSettings
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / 'herding_ros'
+README, PARAMETERS = ROOT / 'README.md', ROOT / 'doc' / 'parameters.md'
+PAGES = (README, ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'doc').glob('*.md')))
+BEGIN = '<!-- parameters: begin; written by test/test_pages.py -->\n'
+END = '<!-- parameters: end -->\n'
+
+Row = tuple[str, str, str, str, str]
+HEAD: Row = ('name', 'default', 'unit', 'allowed', 'meaning')
+
+
+def rows(
+    defaults: Parameters, prefix: str = '', others: dict[str, Any] | None = None
+) -> Iterator[Row]:
+    """Yield a row for each field; a default that differs in one of `others` is named as well."""
+    for field in dataclasses.fields(defaults):
+        value = getattr(defaults, field.name)
+        there = {name: getattr(other, field.name) for name, other in (others or {}).items()}
+        if isinstance(value, Parameters):
+            yield from rows(value, f'{prefix}{field.name}.', there)
+            continue
+        default = written(value)
+        different = [f'`{name}`: {written(each)}' for name, each in there.items() if each != value]
+        if different:
+            default += f' ({", ".join(different)})'
+        unit = field.metadata['unit']
+        yield prefix + field.name, default, unit, describe_limits(field), field.metadata['doc']
+
+
+def crowd_rows() -> Iterator[Row]:
+    meaning = 'where the defaults of crowd.* come from'
+    yield 'crowd.preset', written('cohesive'), '', ' or '.join(CROWDS), meaning
+    yield from rows(CROWDS['cohesive'], 'crowd.', CROWDS)
+
+
+def recorder_rows() -> Iterator[Row]:
+    """Yield a row for each parameter; the recorder declares them in its constructor."""
+    source = ast.parse(Path(recorder.__file__).read_text(encoding='utf-8'))
+    calls = [node for node in ast.walk(source) if isinstance(node, ast.Call)]
+    for call in sorted(calls, key=lambda call: call.lineno):
+        if ast.unparse(call.func) != 'self._declare':
+            continue
+        name, default, meaning = call.args
+        if isinstance(default, ast.Call):  # a name made from the time
+            default = default.args[0]
+        kinds = {list: 'texts', str: 'a text', int: 'an integer of at least 0'}
+        allowed = kinds[type(ast.literal_eval(default))]
+        unquoted = ast.unparse(default).strip("'")
+        yield ast.literal_eval(name), f'`{unquoted}`', '', allowed, ast.literal_eval(meaning)
+
+
+def written(value: Any) -> str:
+    """Return a value as one writes it in a parameter file."""
+    if isinstance(value, bool):
+        return f'`{str(value).lower()}`'
+    if isinstance(value, tuple):
+        return f'`[{", ".join(map(str, value))}]`'
+    return f'`{value}`' if value != '' else "`''`"
+
+
+def escaped(cell: str) -> str:
+    """Return a cell with what would end it or make it slanted taken by the letter."""
+    return cell.replace('|', r'\|').replace('*', r'\*')
+
+
+def table(title: str, content: Iterator[Row]) -> str:
+    lines = [HEAD, ('---',) * len(HEAD)]
+    lines += [(f'`{name}`', *map(escaped, cells)) for name, *cells in content]
+    return f'#### {title}\n\n' + '\n'.join(f'| {" | ".join(line)} |' for line in lines) + '\n'
+
+
+def section() -> str:
+    """Return what stands between the two comments."""
+    assert Crowd() == CROWDS['cohesive']
+    tables = [
+        table('sim and controller: the sheep', crowd_rows()),
+        table('sim: the world', rows(World())),
+        table('sim: the node', rows(SimSettings())),
+        table('controller: the node', rows(ControllerSettings())),
+        table('controller: the method', rows(Control())),
+        table('recorder', recorder_rows()),
+    ]
+    return '\n' + '\n'.join(tables) + '\n'
+
+
+def parts(text: str) -> tuple[str, str, str]:
+    """Split the page into what stands before, between and after the comments."""
+    before, found, rest = text.partition(BEGIN)
+    between, closed, after = rest.partition(END)
+    assert found, f'{PARAMETERS} lacks the line {BEGIN!r}'
+    assert closed, f'{PARAMETERS} lacks the line {END!r}'
+    return before + BEGIN, between, END + after
+
+
+def test_the_parameter_tables_are_those_of_the_code() -> None:
+    between = parts(PARAMETERS.read_text(encoding='utf-8'))[1]
+    expected = section()
+    assert between == expected, (
+        f'run `python test/test_pages.py`, or put this between the comments in {PARAMETERS}:\n'
+        + expected
+    )
+
+
+def test_the_recorder_has_the_parameters_that_the_table_looks_for() -> None:
+    assert [row[0] for row in recorder_rows()] == [
+        *('bag', 'topics', 'max_bag_size', 'max_bag_duration')
+    ]
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.read_text(encoding='utf-8').splitlines()) <= 150
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page: Path) -> None:
+    for file, anchor in links(page.read_text(encoding='utf-8')):
+        target = page.parent / file if file else page
+        assert target.exists(), f'{page.name} links to {file}'
+        if anchor:
+            found = anchors(target.read_text(encoding='utf-8'))
+            assert anchor in found, f'{page.name} links to {file}#{anchor}'
+
+
+def links(text: str) -> Iterator[tuple[str, str]]:
+    """Yield file and anchor of Markdown links and pictures, without those on the web."""
+    for target in re.findall(r'\]\(([^)]+)\)', text):
+        if '://' not in target:
+            file, _, anchor = target.partition('#')
+            yield file, anchor
+
+
+def anchors(text: str) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub makes them."""
+    titles = re.findall(r'^#+ (.*)$', re.sub(r'```.*?```', '', text, flags=re.S), re.M)
+    return {re.sub(r'[^\w\- ]', '', title.lower()).replace(' ', '-') for title in titles}
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+def test_examples_import_what_there_is(page: Path) -> None:
+    for program in re.findall(r'```python\n(.*?)```', page.read_text(encoding='utf-8'), re.S):
+        for node in ast.walk(ast.parse(program)):
+            if isinstance(node, ast.ImportFrom) and node.module is not None:
+                module = importlib.import_module(node.module)
+                for alias in node.names:
+                    assert hasattr(module, alias.name), f'{node.module} lacks {alias.name}'
+
+
+HOMES = r'model|control|nodes|bag|report|studies'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+def test_the_files_that_a_page_names_exist(page: Path) -> None:
+    text = page.read_text(encoding='utf-8')
+    for name in re.findall(rf'`((?:{HOMES})/[\w/]+\.py)`', text):
+        assert (PACKAGE / name).exists(), f'{page.name} names {name}'
+    for name in re.findall(r'`((?:config|test|scripts|benchmark|launch)/[\w/]*(?:\.\w+)?)`', text):
+        assert (ROOT / name).exists(), f'{page.name} names {name}'
+
+
+def test_each_file_is_on_the_map() -> None:
+    """A row names files of one folder, the folder with the first of them; `*.py` is all."""
+    text = (ROOT / 'doc' / 'packages.md').read_text(encoding='utf-8')
+    on_the_map: set[Path] = set()
+    for row in re.findall(rf'^\| `((?:{HOMES})/.*?) \|', text, re.M):
+        folder = PACKAGE
+        for name in re.findall(r'[\w/*]+\.py|[\w/]+/(?=`)', row):
+            folder = (PACKAGE / name).parent if '/' in name else folder
+            path = PACKAGE / name if '/' in name else folder / name
+            on_the_map |= set(
+                path.rglob('*.py') if name.endswith('/') else path.parent.glob(path.name)
+            )
+    files = {path for path in PACKAGE.rglob('*.py') if path.name != '__init__.py'}
+    missing = sorted(str(path.relative_to(PACKAGE)) for path in files - on_the_map)
+    assert not missing, f'doc/packages.md lacks {missing}'
+
+
+def test_each_promise_has_the_tests_that_it_names() -> None:
+    """Entries are `file`: `test_name`, where … stands for the rest of the name."""
+    text = (ROOT / 'doc' / 'reliability.md').read_text(encoding='utf-8')
+    sources = {path.name: path.read_text('utf-8') for path in (ROOT / 'test').rglob('*.py')}
+    for name in re.findall(r'`(test_\w+\.py)`', text):
+        assert name in sources, f'there is no {name}'
+    for name in re.findall(r'`(test_\w+?)_?(?:…)?`', text):
+        assert any(f'def {name}' in source for source in sources.values()), name
+
+
+if __name__ == '__main__':
+    before, _, after = parts(PARAMETERS.read_text(encoding='utf-8'))
+    PARAMETERS.write_text(before + section() + after, encoding='utf-8')
+    print(f'wrote the tables of {PARAMETERS}')
