@@ -369,13 +369,19 @@ def test_the_seed_decides(field: NoiseFunction) -> None:
 # Functions that are no fields
 
 WRONG: dict[str, tuple[Callable[[float, Array], object], str]] = {
-    'shape': (lambda t, x: x, r'returned shape \(\d+, 2\) at t = 2 s.*allowed is \(\d+,\) or one'),
-    'too few': (lambda t, x: np.ones(3), r'returned shape \(3,\).*allowed is \(\d+,\)'),
-    'NaN': (lambda t, x: np.where(x[:, 0] > 0.2, np.nan, 1.0), r'is nan at t = 2 s, x = \(0\.3, '),
-    'infinity': (lambda t, x: math.inf, r'is inf at t = 2 s'),
-    'negative': (lambda t, x: -x[:, 0], r'is -0\.1 at t = 2 s, x = \(0\.1, 0\.2\) m, allowed'),
-    'words': (lambda t, x: 'strong', r'returned no numbers at t = 2 s'),
-    'nothing': (lambda t, x: None, r'is nan at t = 2 s'),
+    'shape': (
+        lambda t, x: x,
+        r'must return shape \(\d+,\) or .* t = 2 s, got \(\d+, 2\)',
+    ),
+    'too few': (lambda t, x: np.ones(3), r'must return shape \(\d+,\) .*, got \(3,\)'),
+    'NaN': (
+        lambda t, x: np.where(x[:, 0] > 0.2, np.nan, 1.0),
+        r'must be .* got nan at t = 2 s, x = \(0\.3, ',
+    ),
+    'infinity': (lambda t, x: math.inf, r'must be .*, got inf at t = 2 s'),
+    'negative': (lambda t, x: -x[:, 0], r'must be .*, got -0\.1 at t = 2 s, x = \(0\.1, 0\.2\) m'),
+    'words': (lambda t, x: 'strong', r'must return numbers at t = 2 s'),
+    'nothing': (lambda t, x: None, r'must be .*, got nan at t = 2 s'),
 }
 
 
