@@ -85,7 +85,7 @@ def records_in(chunk: Chunk) -> list[Found]:
 
 
 class _Reader(StreamReader):
-    """mcap's streaming reader, which knows where the last whole record was: `start` to `end`."""
+    """mcap's streaming reader, and where the last whole record was: `start` to `end`."""
 
     def __init__(self, stream: BinaryIO, within_chunk: bool = False) -> None:
         self._source = _Source(stream)
