@@ -1,9 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts the simulated flock and its controller, and on request the recorder and RViz."""
 
 from datetime import datetime
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.substitutions import (
     EnvironmentVariable,
@@ -14,6 +15,8 @@ from launch.substitutions import (
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+
+from herding_ros.control.lead import lead_at
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -52,7 +55,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'bag',
             default_value=f'herding_{datetime.now():%Y_%m_%d-%H_%M_%S}',
-            description='Folder of the bag, which must not exist yet',
+            description='Folder of the bag, which must not exist',
         ),
         DeclareLaunchArgument(
             'rviz',
@@ -61,6 +64,23 @@ def generate_launch_description() -> LaunchDescription:
             description='Show it in RViz; its goal tool moves the destination',
         ),
     ]
+
+    def controller(context: LaunchContext) -> list[Node]:
+        factor = float(LaunchConfiguration('real_time_factor').perform(context))
+        return [
+            Node(
+                package='herding_ros',
+                executable='controller',
+                name='controller',
+                output='screen',
+                parameters=[
+                    {'lead': lead_at(factor)},  # unless the parameter file has another
+                    config,
+                    {'lockstep': lockstep, 'wait_for': wait_for, 'use_sim_time': True},
+                ],
+            )
+        ]
+
     nodes = [
         Node(
             package='herding_ros',
@@ -78,16 +98,7 @@ def generate_launch_description() -> LaunchDescription:
                 },
             ],
         ),
-        Node(
-            package='herding_ros',
-            executable='controller',
-            name='controller',
-            output='screen',
-            parameters=[
-                config,
-                {'lockstep': lockstep, 'wait_for': wait_for, 'use_sim_time': True},
-            ],
-        ),
+        OpaqueFunction(function=controller),
         Node(
             package='herding_ros',
             executable='recorder',
@@ -111,7 +122,7 @@ def generate_launch_description() -> LaunchDescription:
             condition=IfCondition(LaunchConfiguration('rviz')),
         ),
     ]
-    # Traffic stays on this machine, unless the user wants it otherwise.
+    # Traffic stays on this machine, unless the variable is set.
     network = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
     stay = SetEnvironmentVariable(network, EnvironmentVariable(network, default_value='LOCALHOST'))
     return LaunchDescription([stay, *arguments, *nodes])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-import dataclasses
 from pathlib import Path
 import re
 from typing import Any
@@ -35,31 +34,16 @@ def flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
             yield prefix + key, value
 
 
-def defaults(parameters: Parameters, prefix: str = '') -> Iterator[tuple[str, Any]]:
-    for field in dataclasses.fields(parameters):
-        value = getattr(parameters, field.name)
-        if isinstance(value, Parameters):
-            yield from defaults(value, f'{prefix}{field.name}.')
-        else:
-            yield prefix + field.name, value
+def with_values(parameters: Parameters, values: dict[str, Any], prefix: str = '') -> Any:
+    """Return a set of parameters with those of the values that are its own; it validates them."""
+    own = parameters.flat(prefix)
+    return parameters.with_values({k: v for k, v in values.items() if k in own}, prefix)
 
 
-def with_values(parameters: Any, values: dict[str, Any], prefix: str = '') -> Any:
-    """Return a dataclass with the values of its dotted names; it validates them."""
-    changes = {}
-    for field in dataclasses.fields(parameters):
-        value, name = getattr(parameters, field.name), prefix + field.name
-        if isinstance(value, Parameters):
-            changes[field.name] = with_values(value, values, f'{name}.')
-        elif name in values:
-            changes[field.name] = values[name]
-    return dataclasses.replace(parameters, **changes)
-
-
-CROWD = dict([('crowd.preset', 'cohesive'), *defaults(Crowd(), 'crowd.')])
+CROWD = {'crowd.preset': 'cohesive', **Crowd().flat('crowd.')}
 NODES: dict[str, dict[str, Any]] = {
-    'sim': {**CROWD, **dict(defaults(World())), **dict(defaults(SimSettings()))},
-    'controller': {**CROWD, **dict(defaults(Control())), **dict(defaults(ControllerSettings()))},
+    'sim': {**CROWD, **World().flat(), **SimSettings().flat()},
+    'controller': {**CROWD, **Control().flat(), **ControllerSettings().flat()},
     'recorder': {'bag': '', 'topics': ['']},
 }
 
@@ -103,7 +87,7 @@ def test_every_name_and_type_is_one_that_a_node_declares(path: Path) -> None:
             for default in takers:
                 assert is_of_type(value, default), (
                     f'{path.name}: {section} has {name}: {value!r}, '
-                    f'allowed is a {type(default).__name__} such as {default!r}'
+                    f'it must be a {type(default).__name__} such as {default!r}'
                 )
 
 
@@ -138,7 +122,7 @@ def test_the_paper_s_setting_is_that_of_the_code() -> None:
 def test_a_file_that_says_the_paper_s_values_does_not_lean_on_defaults() -> None:
     """Each value in which the paper's setting differs from the default is written out."""
     written = values_for(CONFIG / 'paper.yaml', 'controller')
-    usual, paper = dict(defaults(Control())), dict(defaults(PAPER))
+    usual, paper = Control().flat(), PAPER.flat()
     assert {name for name in paper if paper[name] != usual[name]} <= set(written)
 
 

@@ -17,13 +17,18 @@ if TYPE_CHECKING:
 class Weights(Parameters):
     """What the cost weighs; the paper's are 1, 1, 1e-2 and 0."""
 
-    centre: float = quantity(3.0, "weight of the centre's distance from its reference", low=0.0)
-    spread: float = quantity(3.0, "weight of the sheep's distance from their centre", low=0.0)
-    control: float = quantity(1e-2, 'weight gamma of the control', 's^2', low=TINY)
+    centre: float = quantity(
+        3.0, "weight of the centre's distance from its reference", low=0.0, live=True
+    )
+    spread: float = quantity(
+        3.0, "weight of the sheep's distance from their centre", low=0.0, live=True
+    )
+    control: float = quantity(1e-2, 'weight gamma of the control', 's^2', low=TINY, live=True)
     dogs: float = quantity(
         3e-3,
         "weight of each dog's distance from the reference; keeps dogs from running off",
         low=0.0,
+        live=True,
     )
     terminal: float = quantity(
         0.0,
@@ -31,11 +36,16 @@ class Weights(Parameters):
         'so long',
         's',
         low=0.0,
+        live=True,
     )
     containment: float = quantity(
-        0.0, 'weight of sheep outside the disc of this radius around the reference', '1/m', low=0.0
+        0.0,
+        'weight of sheep outside the disc of this radius around the reference',
+        '1/m',
+        low=0.0,
+        live=True,
     )
-    radius: float = quantity(0.6, 'radius of that disc', 'm', low=0.0)
+    radius: float = quantity(0.6, 'radius of that disc', 'm', low=0.0, live=True)
 
 
 @dataclass(frozen=True)
@@ -64,8 +74,10 @@ MOST_INTERVALS = 2000
 class Horizon(Parameters):
     """The window that is planned, the part of it that is played, and the time grids."""
 
-    length: float = quantity(20.0, 'time that is planned ahead', 's', low=TINY)
-    accepted: float = quantity(10.0, 'time between two plans, half the length', 's', low=TINY)
+    length: float = quantity(20.0, 'time that is planned ahead', 's', low=TINY, live=True)
+    accepted: float = quantity(
+        10.0, 'time between two plans, half the length', 's', low=TINY, live=True
+    )
     control_period: float = quantity(0.1, 'time for which a command is constant', 's', low=TINY)
     substeps: int = quantity(
         2, 'time steps of the prediction within a control period', low=1, high=1000
@@ -199,7 +211,7 @@ class Sensor(Parameters):
 class Control(Parameters):
     """All parameters of the controller besides the crowd."""
 
-    max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY)
+    max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY, live=True)
     motion: MotionModel = Holonomic()
     weights: Weights = Weights()
     reference: Reference = Reference()

@@ -39,17 +39,22 @@ class NoiseField(Parameters):
     """
 
     slope: tuple[float, float] = quantity(
-        (0.0, 0.0), 'sigma grows by this share of itself per metre in x and in y', '1/m'
+        (0.0, 0.0), 'sigma grows by this share of itself per metre in x and in y', '1/m', live=True
     )
     gust: float = quantity(
-        0.0, 'sigma swings up and down by this share of itself', low=0.0, high=1.0
+        0.0, 'sigma swings up and down by this share of itself', low=0.0, high=1.0, live=True
     )
-    period: float = quantity(10.0, 'time from one gust to the next', 's', low=TINY)
+    period: float = quantity(10.0, 'time from one gust to the next', 's', low=TINY, live=True)
     patch: float = quantity(
-        0.0, 'sigma is larger by this share of itself in the middle of the patch', low=-1.0
+        0.0,
+        'sigma is larger by this share of itself in the middle of the patch',
+        low=-1.0,
+        live=True,
     )
-    patch_centre: tuple[float, float] = quantity((0.0, 0.0), 'where the patch is', 'm')
-    patch_radius: float = quantity(0.2, 'standard deviation of the patch', 'm', low=TINY)
+    patch_centre: tuple[float, float] = quantity((0.0, 0.0), 'where the patch is', 'm', live=True)
+    patch_radius: float = quantity(
+        0.2, 'standard deviation of the patch', 'm', low=TINY, live=True
+    )
 
     @property
     def is_uniform(self) -> bool:

@@ -1,17 +1,20 @@
-"""What one can turn in the model: validated, documented numbers."""
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters: frozen dataclasses of validated, documented values, nested at will."""
 
 from __future__ import annotations
 
 import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import dataclasses
 from dataclasses import dataclass
 from functools import cache
 import math
 from numbers import Real
-from typing import Any, get_type_hints
+from typing import Any, get_type_hints, NamedTuple, TypeVar
 
 import numpy as np
+
+_P = TypeVar('_P', bound='Parameters')
 
 
 def quantity(
@@ -21,34 +24,79 @@ def quantity(
     low: float | None = None,
     high: float | None = None,
     choices: tuple[str, ...] = (),
+    live: bool = False,
 ) -> Any:
-    """Return a dataclass field that knows its meaning, unit and bounds (inclusive)."""
-    metadata = {'doc': doc, 'unit': unit, 'low': low, 'high': high, 'choices': choices}
+    """Return a dataclass field with its meaning, unit and bounds (inclusive).
+
+    live: the value may change while a node runs (a dynamic parameter).
+    """
+    metadata = {
+        'doc': doc, 'unit': unit, 'low': low, 'high': high, 'choices': choices, 'live': live,
+    }  # fmt: skip
     return dataclasses.field(default=default, metadata=metadata)
+
+
+class Entry(NamedTuple):
+    """A value, its dotted name, and the field that declares it."""
+
+    name: str
+    value: Any
+    field: dataclasses.Field[Any]
 
 
 @dataclass(frozen=True)
 class Parameters:
     """Base of every set of parameters: checks each field against its declaration.
 
-    Raises ValueError on construction, naming the field, what was given, what is allowed.
+    A field is a `quantity`, or a set of parameters itself; the values of the latter have dotted
+    names, as in ROS. Raises ValueError on construction, with the field, what it must be and what
+    was given.
     """
 
     def __post_init__(self) -> None:
         """Check type, finiteness, bounds and choices of each field."""
         for field in dataclasses.fields(self):
+            name, value = f'{type(self).__name__}.{field.name}', getattr(self, field.name)
             if field.metadata:
-                value = getattr(self, field.name)
-                checked = check(f'{type(self).__name__}.{field.name}', value, field)
-                object.__setattr__(self, field.name, checked)
-            else:
-                types = _types(type(self))  # type: ignore[arg-type]  # mypy asks its instances
-                group, kind = getattr(self, field.name), types[field.name]
-                if not isinstance(group, kind):
-                    raise ValueError(
-                        f'{type(self).__name__}.{field.name} is {group!r}, '
-                        f'allowed is a {kind.__name__}'
-                    )
+                object.__setattr__(self, field.name, check(name, value, field))
+                continue
+            kind = _types(type(self))[field.name]  # type: ignore[arg-type]  # mypy: its instances
+            if not isinstance(value, kind):
+                raise ValueError(f'{name} must be a {kind.__name__}, got {value!r}')
+
+    def walk(self, prefix: str = '') -> Iterator[Entry]:
+        """Yield every value with its dotted name after the prefix, those of nested sets too."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, Parameters):
+                yield from value.walk(f'{prefix}{field.name}.')
+            elif field.metadata:
+                yield Entry(prefix + field.name, value, field)
+
+    def flat(self, prefix: str = '') -> dict[str, Any]:
+        """Return the values by their dotted names after the prefix."""
+        return {entry.name: entry.value for entry in self.walk(prefix)}
+
+    def with_values(self: _P, values: Mapping[str, Any], prefix: str = '') -> _P:
+        """Return these parameters with the values of some dotted names replaced.
+
+        Raises ValueError for a value that a field does not allow, and for a name that is not one
+        of `flat(prefix)`.
+        """
+        if unknown := sorted(set(values) - set(self.flat(prefix))):
+            raise ValueError(f'{type(self).__name__} has no parameter {", ".join(unknown)}')
+        return _replaced(self, values, prefix)
+
+
+def _replaced(parameters: _P, values: Mapping[str, Any], prefix: str) -> _P:
+    changes: dict[str, Any] = {}
+    for field in dataclasses.fields(parameters):
+        value, name = getattr(parameters, field.name), prefix + field.name
+        if isinstance(value, Parameters):
+            changes[field.name] = _replaced(value, values, f'{name}.')
+        elif name in values:
+            changes[field.name] = values[name]
+    return dataclasses.replace(parameters, **changes)
 
 
 @cache  # a filter makes a crowd at every step
@@ -58,11 +106,13 @@ def _types(kind: type[Parameters]) -> dict[str, Any]:
 
 
 def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
-    """Return value converted to the field's type, or raise ValueError if not allowed."""
+    """Return value converted to the field's type; ValueError if the field does not allow it."""
     converted = _convert(value, field.default)
-    if converted is None or not _within(converted, field):
-        raise ValueError(f'{name} is {value!r}, allowed is {describe_limits(field)}')
-    return converted
+    if converted is not None and _within(converted, field):
+        return converted
+    right_kind = type(converted) in (int, float) and math.isfinite(converted)
+    wanted = _bounds(field) if right_kind else describe_limits(field)
+    raise ValueError(f'{name} must be {wanted}, got {value!r}')
 
 
 def _convert(value: Any, like: Any) -> Any:
@@ -92,22 +142,25 @@ def _within(value: Any, field: dataclasses.Field[Any]) -> bool:
 
 
 def describe_limits(field: dataclasses.Field[Any]) -> str:
-    """Say in words what the field allows, for error messages and parameter tables."""
-    low, high, choices = (field.metadata[key] for key in ('low', 'high', 'choices'))
-    if choices:
-        return ' or '.join(choices)
+    """Return in words what a field must be, for error messages and parameter tables."""
+    if field.metadata['choices']:
+        return ' or '.join(field.metadata['choices'])
     if isinstance(field.default, tuple):
-        words = f'{len(field.default)} numbers'
+        kind = f'{len(field.default)} numbers'
     else:
-        kinds = {float: 'a number', int: 'an integer', bool: 'true or false', str: 'a text'}
-        words = kinds[type(field.default)]
+        kinds = {float: 'a number', int: 'an integer', bool: 'true or false', str: 'a string'}
+        kind = kinds[type(field.default)]
+    bounds = _bounds(field)
+    return f'{kind}{" of" if bounds.startswith("at") else ""} {bounds}'.rstrip()
+
+
+def _bounds(field: dataclasses.Field[Any]) -> str:
+    low, high = field.metadata['low'], field.metadata['high']
     if low is not None and high is not None:
-        return f'{words} from {low:g} to {high:g}'
+        return f'from {low:g} to {high:g}'
     if low is not None:
-        return f'{words} of at least {low:g}'
-    if high is not None:
-        return f'{words} of at most {high:g}'
-    return words
+        return f'at least {low:g}'
+    return '' if high is None else f'at most {high:g}'
 
 
 TINY = 1e-9

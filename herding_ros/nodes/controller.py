@@ -29,22 +29,14 @@ from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
 from . import messages
+from .duplicates import sole_publisher
+from .herding_node import HerdingNode
+from .inbox import LOCKSTEP_TURN
 from .observations import Observations
-from .parameters import declare, HerdingNode
-from .rivals import sole_publisher
-from .running import (
-    ADJUSTABLE,
-    CountingPublisher,
-    EVERY_MESSAGE,
-    is_heard,
-    LOCKSTEP_TURN,
-    run,
-    UNWATCHED,
-)
-from .settings import declare_crowd, LIVE_NOISE, NodeSettings
-
-LIVE = ('weights.', *LIVE_NOISE, 'horizon.length', 'horizon.accepted', 'max_speed')
-"""Parameters that may change while the controller runs; they count from the next plan on."""
+from .parameters import declare
+from .publishing import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, UNWATCHED
+from .running import run
+from .settings import declare_crowd, NodeSettings
 
 _PATH_SPACING = 0.5
 """Time between two poses of a path [s]."""
@@ -73,8 +65,8 @@ class Controller(HerdingNode):
         """Declare parameters, load the kernels, then subscribe."""
         super().__init__('controller')
         self._settings = settings = declare(self, ControllerSettings())
-        crowd = declare_crowd(self, live=LIVE)
-        control = declare(self, Control(), live=LIVE)
+        crowd = declare_crowd(self)
+        control = declare(self, Control())
         self._control_period = control.horizon.control_period
         planner = RecedingHorizon(crowd, control, np.array(settings.goal), settings.seed)
         self._pilot: LockstepPilot | RealTimePilot

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A subscription that is emptied by hand, past the executor."""
 
 from __future__ import annotations
@@ -13,6 +14,10 @@ from rclpy.qos import QoSProfile
 
 MOST_AT_ONCE = 1_000
 """Messages taken in a row, so that a flooded topic does not keep out the others."""
+
+
+LOCKSTEP_TURN = 0.02
+"""Time for which a node in lockstep only replies, before it does everything else [s]."""
 
 
 class Inbox:

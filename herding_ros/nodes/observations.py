@@ -15,8 +15,8 @@ from herding_ros.model.state import Array, HerdState
 
 from . import messages
 from .inbox import Inbox
+from .publishing import ADJUSTABLE
 from .refusals import Refusals, Refused
-from .running import ADJUSTABLE
 
 
 class Observations:

@@ -1,4 +1,5 @@
-"""Asking another node for all its parameters, in the background."""
+# SPDX-License-Identifier: Apache-2.0
+"""A request for all parameters of another node, in the background."""
 
 from __future__ import annotations
 
@@ -12,15 +13,15 @@ from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-ANSWER_TIMEOUT = 1.0
-"""Time after which the node is asked once more [s]."""
+REPLY_TIMEOUT = 1.0
+"""Time after which the request is repeated [s]."""
 
 
 class ParameterQuery:
-    """A question to one node; `values` is None until it has answered.
+    """A request to one node; `values` is None until the reply has come.
 
-    Nothing here waits: `advance()`, called from a timer, asks when the node is ready, and
-    the answers come through the executor.
+    Nothing here waits: `advance()`, called from a timer, sends the request when the node is
+    ready, and the replies come through the executor.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -32,40 +33,40 @@ class ParameterQuery:
         self._next_try = 0.0
 
     def advance(self) -> None:
-        """Ask if the node offers its services and no answer is on its way."""
+        """Send the request if the node offers its services and no reply is on its way."""
         now = time.monotonic()
         clients = (self._names, self._types, self._values)
         if now >= self._next_try and all(client.service_is_ready() for client in clients):
-            self._next_try = now + ANSWER_TIMEOUT
-            _ask(self._names, ListParameters.Request(), self._take_names)
+            self._next_try = now + REPLY_TIMEOUT
+            _call(self._names, ListParameters.Request(), self._take_names)
 
     def destroy(self) -> None:
         """Release the clients."""
         for client in (self._names, self._types, self._values):
             self._node.destroy_client(client)
 
-    def _take_names(self, answer: ListParameters.Response) -> None:
-        names = list(answer.result.names)
+    def _take_names(self, reply: ListParameters.Response) -> None:
+        names = list(reply.result.names)
 
-        def take_types(answer: GetParameterTypes.Response) -> None:
+        def take_types(reply: GetParameterTypes.Response) -> None:
             # A node that is asked for a parameter without a value returns none at all.
             self._take_set_names(
                 [
                     name
-                    for name, kind in zip(names, answer.types, strict=False)
+                    for name, kind in zip(names, reply.types, strict=False)
                     if kind != ParameterType.PARAMETER_NOT_SET
                 ]
             )
 
-        _ask(self._types, GetParameterTypes.Request(names=names), take_types)
+        _call(self._types, GetParameterTypes.Request(names=names), take_types)
 
     def _take_set_names(self, names: list[str]) -> None:
-        def take_values(answer: GetParameters.Response) -> None:
-            values = map(parameter_value_to_python, answer.values)
+        def take_values(reply: GetParameters.Response) -> None:
+            values = map(parameter_value_to_python, reply.values)
             self.values = dict(zip(names, values, strict=False))
 
-        _ask(self._values, GetParameters.Request(names=names), take_values)
+        _call(self._values, GetParameters.Request(names=names), take_values)
 
 
-def _ask(client: Client, request: Any, take: Callable[[Any], None]) -> None:
+def _call(client: Client, request: Any, take: Callable[[Any], None]) -> None:
     client.call_async(request).add_done_callback(lambda future: take(future.result()))

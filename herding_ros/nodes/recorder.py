@@ -29,12 +29,14 @@ from std_srvs.srv import Trigger
 from .. import __version__
 from ..bag.metadata import advice
 from ..bag.writer import BagWriter
+from .herding_node import HerdingNode
 from .log_clock import LogClock
 from .parameter_query import ParameterQuery
-from .parameters import HerdingNode
+from .publishing import CLOCK
 from .recorded_topics import NewTopic, RecordedTopics
 from .refusals import Refused
-from .running import CLOCK, ignore_signals, start_ros
+from .running import start_ros
+from .signals import ignore_signals
 from .tap import Received
 
 TAKE_PERIOD = 0.02

@@ -1,4 +1,5 @@
-"""Messages that a node refuses: said once, counted always."""
+# SPDX-License-Identifier: Apache-2.0
+"""Messages that a node refuses: each kind is logged once and counted always."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ class Refused(ValueError):  # noqa: N818, a node goes on
     message: messages are counted by it.
     """
 
-    def __init__(self, kind: str, text: str) -> None:
-        super().__init__(text)
+    def __init__(self, kind: str, reason: str) -> None:
+        super().__init__(reason)
         self.kind = kind
 
 
@@ -29,7 +30,7 @@ class Refusals:
         self._logger = logger
 
     def report_values(self) -> dict[str, object]:
-        """Return what /diagnostics says of them."""
+        """Return the counts for /diagnostics."""
         return {f'refused {key}': count for key, count in self.counts.items()}
 
     def add(self, topic: str, error: ValueError) -> None:

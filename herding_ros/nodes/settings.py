@@ -1,12 +1,12 @@
-"""What sim and controller have in common: parameters of the node, and the crowd's.
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters that sim and controller share: those of a node, and the crowd's.
 
-Apart from parameters.py, since the crowd brings compiled kernels along, which a recorder does not
+Apart from parameters.py because the crowd imports compiled kernels, which a recorder does not
 need.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import dataclasses
 
 from rclpy.node import Node
@@ -17,9 +17,6 @@ from herding_ros.model.scenario import GOAL
 
 from .parameters import declare
 
-LIVE_NOISE = ('crowd.noise', 'crowd.common_noise', 'crowd.noise_field.')
-"""What of the crowd may change while sim and controller run."""
-
 
 @dataclasses.dataclass(frozen=True)
 class NodeSettings(Parameters):
@@ -29,8 +26,8 @@ class NodeSettings(Parameters):
     frame: str = quantity('map', 'frame of all positions')
     lockstep: bool = quantity(
         False,
-        'the sim waits at each control period for the commands that answer its state, '
-        'which the controller stamps as the state is stamped',
+        'the sim waits at each control period for the commands that reply to its state: '
+        'the controller stamps them as the state is stamped',
     )
     stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
     wait_for: str = quantity('', 'name of a node (a recorder) that must hear everything first')
@@ -39,17 +36,19 @@ class NodeSettings(Parameters):
         """Check what goes together."""
         super().__post_init__()
         if self.lockstep and not self.stamped:
-            raise ValueError('lockstep needs stamped commands: set stamped to true')
+            raise ValueError('lockstep needs stamped commands: stamped must be true, got false')
 
 
 @dataclasses.dataclass(frozen=True)
-class _Preset(Parameters):
+class Preset(Parameters):
+    """Where the crowd's defaults come from."""
+
     preset: str = quantity(
         'cohesive', 'where the defaults of crowd.* come from', choices=tuple(CROWDS)
     )
 
 
-def declare_crowd(node: Node, live: Sequence[str] = ()) -> Crowd:
+def declare_crowd(node: Node) -> Crowd:
     """Declare the crowd: `crowd.preset` gives the defaults of the other `crowd.` parameters."""
-    preset = declare(node, _Preset(), 'crowd.').preset
-    return declare(node, CROWDS[preset], 'crowd.', live)
+    preset = declare(node, Preset(), 'crowd.').preset
+    return declare(node, CROWDS[preset], 'crowd.')

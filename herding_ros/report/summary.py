@@ -12,7 +12,7 @@ from herding_ros.model.flock import arrived, distance, spread
 
 
 def summarise(run: RecordedRun) -> dict[str, Any]:
-    """Return the run's result as plain values for JSON; what is not known is None.
+    """Return the run's result as plain values for JSON; unknown values are None.
 
     time_s is when the flock arrived, at the goal and together, else the length of the run.
     """

@@ -19,7 +19,7 @@ class Sample(Parameters):
     at_most: float = quantity(1.0, 'a number', high=2.0)
     count: int = quantity(1, 'an integer', low=1)
     flag: bool = quantity(True, 'a switch')
-    text: str = quantity('a', 'a text')
+    text: str = quantity('a', 'a string')
     choice: str = quantity('a', 'a choice', choices=('a', 'b'))
     pair: tuple[float, float] = quantity((0.0, 0.0), 'two numbers', low=-1.0)
 
@@ -29,14 +29,15 @@ REFUSED = [
     ('number', True, 'a number from 0 to 2'),
     ('number', None, 'a number from 0 to 2'),
     ('number', math.nan, 'a number from 0 to 2'),
-    ('number', 2.0000001, 'a number from 0 to 2'),
-    ('number', -1e-300, 'a number from 0 to 2'),
+    ('number', 2.0000001, 'from 0 to 2'),
+    ('number', -1e-300, 'from 0 to 2'),
+    ('at_most', 2.5, 'at most 2'),
     ('at_most', -math.inf, 'a number of at most 2'),
-    ('count', 0, 'an integer of at least 1'),
+    ('count', 0, 'at least 1'),
     ('count', 1.0, 'an integer of at least 1'),
     ('count', True, 'an integer of at least 1'),
     ('flag', 1, 'true or false'),
-    ('text', 1, 'a text'),
+    ('text', 1, 'a string'),
     ('choice', 'c', 'a or b'),
     ('choice', True, 'a or b'),
     ('pair', (1.0,), '2 numbers of at least -1'),
@@ -49,10 +50,10 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(('name', 'value', 'allowed'), REFUSED)
-def test_refusal_names_field_value_and_what_is_allowed(
+def test_refusal_names_field_what_it_must_be_and_what_was_given(
     name: str, value: object, allowed: str
 ) -> None:
-    message = re.escape(f'Sample.{name} is {value!r}, allowed is {allowed}')
+    message = re.escape(f'Sample.{name} must be {allowed}, got {value!r}')
     with pytest.raises(ValueError, match=f'^{message}$'):
         Sample(**{name: value})  # type: ignore[arg-type]
 
@@ -83,13 +84,43 @@ def test_bounds_are_inclusive_and_integers_pass_as_numbers(
     ],
 )
 def test_every_set_of_parameters_is_validated(make: Callable[[], object], named: str) -> None:
-    with pytest.raises(ValueError, match=f'^{re.escape(named)}, allowed is '):
+    name, value = map(re.escape, named.split(' is '))
+    with pytest.raises(ValueError, match=f'^{name} must be .*, got {value}$'):
         make()
 
 
 def test_groups_within_parameters_are_validated() -> None:
-    with pytest.raises(ValueError, match=r'^Crowd\.sheep is 3, allowed is '):
+    with pytest.raises(ValueError, match=r'^Crowd\.sheep must be a Potential, got 3$'):
         Crowd(sheep=3)  # type: ignore[arg-type]
+
+
+EVERYWHERE_ALIKE = Crowd(noise_field=lambda t, x: 1.0)  # a field without parameters
+
+
+@dataclasses.dataclass(frozen=True)
+class Nested(Parameters):
+    sample: Sample = Sample()
+    crowd: Crowd = EVERYWHERE_ALIKE
+    last: float = quantity(3.0, 'a number')
+
+
+def test_nested_values_have_dotted_names() -> None:
+    flat = Nested().flat('of.')
+    assert list(flat)[:2] == ['of.sample.number', 'of.sample.at_most']
+    assert flat['of.crowd.sheep.attraction'] == Crowd().sheep.attraction  # type: ignore[attr-defined]
+    assert not any('noise_field' in name for name in flat)
+    assert flat['of.last'] == 3.0
+
+
+def test_values_are_replaced_together() -> None:
+    changes = {'of.sample.count': 4, 'of.last': 2, 'of.crowd.noise': 0.5}
+    new = Nested().with_values(changes, 'of.')
+    assert {n: v for n, v in new.flat('of.').items() if v != Nested().flat('of.')[n]} == changes
+    assert new.crowd.noise_field is Nested().crowd.noise_field
+    with pytest.raises(ValueError, match=r'^Sample\.count must be at least 1, got 0$'):
+        Nested().with_values({'sample.count': 0})
+    with pytest.raises(ValueError, match=r'^Nested has no parameter last, sample\.cuont$'):
+        Nested().with_values({'of.sample.count': 1, 'sample.cuont': 1, 'last': 1}, 'of.')
 
 
 @pytest.mark.parametrize('group', [Morse, Crowd, World])

@@ -1,4 +1,5 @@
-"""A node of ours that does not see its rivals until it is active itself.
+# SPDX-License-Identifier: Apache-2.0
+"""A node that does not see its duplicates until it is active itself, and waits less for them.
 
 As if both had begun at the same instant. Run as a program with the name of the node before the
 ROS arguments.
@@ -8,8 +9,11 @@ from importlib import import_module
 import sys
 from typing import Any
 
-from herding_ros.nodes import rivals
-from herding_ros.nodes.parameters import HerdingNode
+from herding_ros.nodes import duplicates
+from herding_ros.nodes.herding_node import HerdingNode
+
+CLAIM = 1.5
+"""Instead of that of `duplicates` [s]."""
 
 find = HerdingNode.get_publishers_info_by_topic
 unseen: set[tuple[int, ...]] = set()
@@ -31,6 +35,7 @@ def blind_find(node: HerdingNode, topic: str, *args: Any) -> list[Any]:
 
 
 if __name__ == '__main__':
-    rivals._wait_until_nobody_publishes = blind_wait
+    duplicates._wait_until_nobody_publishes = blind_wait
+    duplicates.CLAIM = CLAIM
     HerdingNode.get_publishers_info_by_topic = blind_find  # type: ignore[method-assign]
     sys.exit(import_module(f'herding_ros.nodes.{sys.argv[1]}').main(sys.argv[2:]))

@@ -651,7 +651,7 @@ def test_path_is_stamped_along_the_way() -> None:
 
 def test_markers_show_sheep_dogs_and_goal() -> None:
     x, d = np.array([[1.0, 2.0]]), np.array([[3.0, 4.0], [5.0, 6.0]])
-    shown = {m.ns: m for m in messages.markers(x, d, np.array([7.0, 8.0]), 0, 'map').markers}
+    shown = {m.ns: m for m in messages.marker_array(x, d, np.array([7.0, 8.0]), 0, 'map').markers}
     assert [(p.x, p.y) for p in shown['sheep'].points] == [(1.0, 2.0)]
     assert len(shown['dogs'].points) == 6
     triangle = np.array([(p.x, p.y) for p in shown['dogs'].points[3:]])

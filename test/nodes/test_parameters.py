@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 import dataclasses
 import math
 from pathlib import Path
+import re
 from typing import Any
 
 from geometry_msgs.msg import TwistStamped
@@ -30,28 +31,24 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import Simulation, World
-from herding_ros.nodes import controller, messages, sim
+from herding_ros.nodes import messages
 from herding_ros.nodes.controller import ControllerSettings
-from herding_ros.nodes.parameters import declare, HerdingNode
+from herding_ros.nodes.herding_node import HerdingNode
+from herding_ros.nodes.parameters import declare
 from herding_ros.nodes.settings import declare_crowd
 from herding_ros.nodes.sim import SimSettings
 
 Field = dataclasses.Field[Any]
 
 
-def fields(parameters: Parameters, prefix: str = '') -> Iterator[tuple[str, Field]]:
-    for field in dataclasses.fields(parameters):
-        value = getattr(parameters, field.name)
-        if isinstance(value, Parameters):
-            yield from fields(value, f'{prefix}{field.name}.')
-        else:
-            yield prefix + field.name, field
+def fields(parameters: Parameters, prefix: str = '') -> dict[str, Field]:
+    return {entry.name: entry.field for entry in parameters.walk(prefix)}
 
 
-CROWD = dict(fields(Crowd(), 'crowd.'))
+CROWD = fields(Crowd(), 'crowd.')
 FIELDS: dict[str, dict[str, Field]] = {
-    'sim': {**CROWD, **dict(fields(World())), **dict(fields(SimSettings()))},
-    'controller': {**CROWD, **dict(fields(Control())), **dict(fields(ControllerSettings()))},
+    'sim': {**CROWD, **fields(World()), **fields(SimSettings())},
+    'controller': {**CROWD, **fields(Control()), **fields(ControllerSettings())},
     'recorder': {},
 }
 NOISE = {name for name in CROWD if name.startswith(('crowd.noise', 'crowd.common_noise'))}
@@ -175,16 +172,19 @@ def wrong_values(field: Field) -> list[Any]:
     return wrong
 
 
+def refusal_of(name: str, value: Any) -> re.Pattern[str]:
+    return re.compile(rf'parameter {re.escape(name)} must be .*, got {re.escape(repr(value))}')
+
+
 @sim_and_controller
 def test_wrong_values_are_refused_while_it_runs(asked: Callable[[str], Asker], name: str) -> None:
     node = asked(name)
     names = sorted(LIVE[name])
     before = node.values(names)
     for parameter in names:
-        field = FIELDS[name][parameter]
-        for value in [*wrong_values(field), None]:
+        for value in [*wrong_values(FIELDS[name][parameter]), None]:
             reason = node.refusal(parameter, value)
-            assert f'{parameter} is {value!r}, allowed is {describe_limits(field)}' in reason
+            assert refusal_of(parameter, value).search(reason), reason
     assert node.values(names) == before
     assert node.refusal('nonsense', 1.0) == f'{name} has no parameter nonsense'
 
@@ -209,13 +209,11 @@ def test_wrong_values_are_refused_at_the_start(domain: int, name: str) -> None:
             rclpy.init(args=given, domain_id=domain)
             node = HerdingNode(name)
             try:
-                with pytest.raises(ValueError, match='allowed is') as refusal:
+                with pytest.raises(ValueError, match=refusal_of(parameter, value)):
                     declare_all(node)
             finally:
                 node.destroy_node()
                 rclpy.shutdown()
-            reason = str(refusal.value)
-            assert f'{parameter} is {value!r}, allowed is {describe_limits(field)}' in reason
 
 
 def declare_all(node: HerdingNode) -> None:
@@ -227,28 +225,21 @@ def declare_all(node: HerdingNode) -> None:
         declare(node, kind)
 
 
-def test_the_live_ones_are_those_that_the_nodes_name() -> None:
-    for name, module in {'sim': sim, 'controller': controller}.items():
-        groups = tuple(entry for entry in module.LIVE if entry.endswith('.'))
-        named = {key for key in FIELDS[name] if key in module.LIVE or key.startswith(groups)}
-        assert named == LIVE[name]
-        assert all(any(key.startswith(entry) for key in named) for entry in module.LIVE)
-
-
 def test_what_does_not_go_together_is_refused(asked: Callable[[str], Asker]) -> None:
     node = asked('controller')
     names = ['horizon.length', 'horizon.accepted', 'weights.centre']
     before = node.values(names)
-    too_long = 'accepted is 30.0, allowed is at most the length, 20.0'
-    assert too_long in node.refusal('horizon.accepted', 30.0)
-    assert 'at most the length, 5.0' in node.refusal('horizon.length', 5.0)
+    too_long = node.refusal('horizon.accepted', 30.0)
+    assert 'Horizon.accepted' in too_long
+    assert 'at most the length' in too_long
+    assert 'at most the length' in node.refusal('horizon.length', 5.0)
     assert 'multiple of control_period' in node.refusal('horizon.length', 20.05)
-    assert too_long in node.refusal_of_all(weights__centre=1.0, horizon__accepted=30.0)
+    assert too_long == node.refusal_of_all(weights__centre=1.0, horizon__accepted=30.0)
     assert 'read-only' in node.refusal_of_all(weights__centre=1.0, dogs=1)
     assert node.values(names) == before
     assert node.refusal_of_all(horizon__length=5.0, horizon__accepted=4.0) == ''
     assert node.values(names) == {**before, 'horizon.length': 5.0, 'horizon.accepted': 4.0}
-    assert 'accepted is 4.0' in node.refusal('horizon.length', 3.0)
+    assert 'Horizon.accepted' in node.refusal('horizon.length', 3.0)
 
 
 def test_what_was_refused_is_not_taken_with_the_next(asked: Callable[[str], Asker]) -> None:

@@ -1,8 +1,9 @@
-"""Two sims, or two controllers, by mistake: all but one end and say why.
+# SPDX-License-Identifier: Apache-2.0
+"""Duplicate nodes, such as two sims by mistake: all but one end, with the reason.
 
-Each kind of node has a topic that no other kind publishes. Who finds a publisher of it does not
-become active. Two that begin at the same instant may not find each other, so they go on looking:
-then the one that was there first stays, or that with the lower number.
+Each kind of node has a topic that no other kind publishes. A node that finds a publisher of it
+does not become active. Two that start at the same instant may not discover each other, so both
+keep watching: then the one that was there first stays, or else the one with the lower identifier.
 """
 
 from __future__ import annotations
@@ -15,58 +16,58 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from .parameters import HerdingNode
+from .herding_node import HerdingNode
 from .running import CannotGoOnError
 
 DISCOVERY = 0.6
-"""Time in which a node finds those that were there before, nearly always [s]."""
+"""Time in which a node discovers those that were there before, nearly always [s]."""
 
 PATIENCE = 2.0
-"""Time in which another node that is about to end is gone [s]."""
+"""Time in which another node that is about to end has gone [s]."""
 
 CLAIM = 4.0
-"""Time by which an active node waits longer for another to go than one with less of a claim [s].
+"""Time that an active node waits for a duplicate to go, for each of its two claims to stay [s].
 
-More than PATIENCE: one that is being refused may have been active for a moment.
+More than PATIENCE: a duplicate that is being refused may have been active for a moment.
 """
 
-LOOK_PERIOD = 0.5
-"""Time between two looks for rivals of an active node [s]."""
+WATCH_PERIOD = 0.5
+"""Time between two checks of an active node for duplicates [s]."""
 
 _ADVICE = 'end it, or give this one a namespace or another ROS_DOMAIN_ID'
 
 
 def sole_publisher(node: HerdingNode, topic: str, create: Callable[[], Publisher]) -> Publisher:
-    """Return create(), a publisher of the topic, and see to it that it is the only one.
+    """Return create(), a publisher of the topic, and make sure that it stays the only one.
 
-    Raises ValueError if another one publishes the topic and goes on doing so. If one appears
+    Raises ValueError if another node publishes the topic and goes on doing so. If one appears
     later, the executor raises CannotGoOnError in one of the two nodes.
     """
     full_name = node.resolve_topic_name(topic)
     _wait_until_nobody_publishes(node, full_name)
     publisher = create()
     found = node.get_publishers_info_by_topic(full_name)
-    if len(found) != 1:  # somebody else did it at the same instant: which one is mine?
+    if len(found) != 1:  # another did it at the same instant: which one is mine?
         node.destroy_publisher(publisher)
         return sole_publisher(node, topic, create)
 
     watch = _Watch(node, full_name, found[0].endpoint_gid)
-    node.create_timer(LOOK_PERIOD, watch.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    node.create_timer(WATCH_PERIOD, watch.check, clock=Clock(clock_type=ClockType.STEADY_TIME))
     return publisher
 
 
 class _Watch:
-    """Looks for rivals of an active node; raises CannotGoOnError when one has to be given way."""
+    """Watches for duplicates of an active node; raises CannotGoOnError when the node must go."""
 
     def __init__(self, node: Node, topic: str, mine: list[int]) -> None:
         self._node = node
         self._topic = topic
         self._mine = mine
         self._begun = time.monotonic()
-        self._since: float | None = None  # when there was a rival first
+        self._since: float | None = None  # when a duplicate was first there
 
-    def look(self) -> None:
-        """Give way to a rival that does not go: at once, or later with a better claim."""
+    def check(self) -> None:
+        """Raise if a duplicate has stayed for as long as this node's claims allow."""
         infos = self._node.get_publishers_info_by_topic(self._topic)
         others = [info for info in infos if info.endpoint_gid != self._mine]
         now = time.monotonic()
@@ -85,7 +86,7 @@ class _Watch:
 
 def _wait_until_nobody_publishes(node: HerdingNode, topic: str) -> None:
     end = time.monotonic() + PATIENCE
-    told = False
+    is_logged = False
     while True:
         others = node.get_publishers_info_by_topic(topic)
         now = time.monotonic()
@@ -94,14 +95,14 @@ def _wait_until_nobody_publishes(node: HerdingNode, topic: str) -> None:
         name = _name(others[0]) if others else ''
         if others and now > end:
             raise ValueError(f'{name or "another node"} publishes {topic} already; {_ADVICE}')
-        if name and not told:
-            node.get_logger().info(f'waiting for {name} to go, which publishes {topic}')
-            told = True
+        if name and not is_logged:
+            node.get_logger().info(f'waiting for {name} to end, which publishes {topic}')
+            is_logged = True
         time.sleep(0.02)
 
 
 def _name(info: TopicEndpointInfo) -> str:
-    """Return the name of a publisher's node; nothing for one just found, not yet introduced."""
+    """Return the name of a publisher's node; '' for one just discovered, without a name yet."""
     if info.node_name == '_NODE_NAME_UNKNOWN_':
         return ''
     return f'node {info.node_namespace.rstrip("/")}/{info.node_name}'

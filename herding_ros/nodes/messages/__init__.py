@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages <-> arrays: the only place that depends on what a message looks like. SI units."""
+
+from .checks import check_frame, check_stamp
+from .diagnostics import diagnostics
+from .received import command_in, dog_in, goal_in, Sheep, sheep_in, twist_in
+from .sent import cloud, command, odometry, trajectory, twist
+from .stamps import dog_frame, nanoseconds, stamp_of
+from .visualisation import marker_array, path
+
+__all__ = [
+    'Sheep',
+    'check_frame',
+    'check_stamp',
+    'cloud',
+    'command',
+    'command_in',
+    'diagnostics',
+    'dog_frame',
+    'dog_in',
+    'goal_in',
+    'marker_array',
+    'nanoseconds',
+    'odometry',
+    'path',
+    'sheep_in',
+    'stamp_of',
+    'trajectory',
+    'twist',
+    'twist_in',
+]

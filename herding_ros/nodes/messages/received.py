@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages -> arrays, from their bytes.
+
+All raise Refused on anything that must not move a dog; what is not read (a height, a covariance)
+may be anything, but for commands.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from herding_ros.model.state import Array
+from herding_ros.nodes.refusals import Refused
+from herding_ros.nodes.wire import Reader
+from herding_ros.point_cloud import points
+
+from .checks import check_finite, check_frame, check_size
+from .stamps import dog_frame
+
+_ODOMETRY_NUMBERS = 7 + 36 + 6 + 36
+"""Pose and twist, each with its covariance."""
+
+_ROUNDING = 0.1
+"""By how much the squared length of a quaternion may differ from 1."""
+
+_MOST_FIELDS = 64
+"""Fields of a point cloud: each takes room and time, before the points are looked at."""
+
+
+class Sheep(NamedTuple):
+    """The flock at ns: ids (N,), increasing, positions x (N, 2) [m], velocities v [m/s]."""
+
+    ns: int
+    ids: NDArray[np.uint32]
+    x: Array
+    v: Array
+
+
+def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
+    """Sheep in a PointCloud2, sorted by id; more than `most` are refused unseen.
+
+    Fields x, y, vx, vy must be there as floats, in any order and with any others. An integer
+    field id identifies the sheep; without it their order does.
+    """
+    reader = Reader(data)
+    ns, given = reader.header()
+    check_frame('sheep', given, frame)
+    cloud = _point_cloud_in(reader, most)
+    try:
+        sheep = points(cloud)
+    except ValueError as error:
+        raise Refused('malformed', str(error)) from None
+    values: Array = np.empty((len(sheep), 4))
+    with np.errstate(invalid='ignore'):  # converting some NaN warns on stderr
+        for i, name in enumerate(('x', 'y', 'vx', 'vy')):
+            values[:, i] = _column(sheep, name, 'f', 'FLOAT32 or FLOAT64')
+    check_size('sheep positions and velocities', float(values.min()), float(values.max()))
+    if not any(field.name == 'id' for field in cloud.fields):
+        return Sheep(ns, np.arange(len(sheep), dtype=np.uint32), values[:, :2], values[:, 2:])
+    ids = _column(sheep, 'id', 'iu', 'integer').astype(np.uint32)
+    if not (ids[1:] > ids[:-1]).all():
+        order = np.argsort(ids)
+        ids, values = ids[order], values[order]
+        if (ids[1:] == ids[:-1]).any():
+            raise Refused('duplicate ids', 'two sheep have the same id; each needs its own')
+    return Sheep(ns, ids, values[:, :2], values[:, 2:])
+
+
+def _column(sheep: NDArray[np.void], name: str, kinds: str, allowed: str) -> NDArray[np.generic]:
+    if name not in (sheep.dtype.names or ()):
+        raise Refused('wrong fields', f'sheep must have a field {name} of type {allowed}')
+    if sheep.dtype[name].kind not in kinds:
+        kind = sheep.dtype[name]
+        raise Refused('wrong fields', f'field {name} must be of type {allowed}, got {kind}')
+    column: NDArray[np.generic] = sheep[name]
+    return column
+
+
+class _Field(NamedTuple):
+    name: str
+    offset: int
+    datatype: int
+    count: int  # type: ignore[assignment]
+
+
+class _PointCloud(NamedTuple):
+    height: int
+    width: int
+    fields: tuple[_Field, ...]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: memoryview
+
+
+def _point_cloud_in(reader: Reader, most: int) -> _PointCloud:
+    """Read what comes after the header of a PointCloud2 with one to `most` points."""
+    height, width, field_count = reader.numbers('III')
+    if width * height > most:
+        raise Refused(
+            'too many sheep', f'there must be at most {most} sheep, got {width * height}'
+        )
+    if not width * height:
+        raise Refused('empty', 'sheep must be at least one point, got an empty cloud')
+    if field_count > _MOST_FIELDS:
+        raise Refused(
+            'wrong fields', f'sheep must have at most {_MOST_FIELDS} fields, got {field_count}'
+        )
+    fields = tuple(_Field(reader.string(), *reader.numbers('IBxxxI')) for _ in range(field_count))
+    is_bigendian, point_step, row_step = reader.numbers('?xxxII')
+    points_data = reader.sequence()
+    # One byte, is_dense, and what fills up the message to a multiple of four.
+    if not 1 <= reader.left <= 4:
+        raise Refused('malformed', f'1 to 4 bytes must follow the points, got {reader.left}')
+    return _PointCloud(height, width, fields, is_bigendian, point_step, row_step, points_data)
+
+
+def dog_in(data: bytes, frame: str) -> tuple[int, Array, float]:
+    """Time [ns], position (2,) [m] and heading [rad] of a dog in an Odometry."""
+    reader = Reader(data)
+    ns, given = reader.header()
+    check_frame('odometry', given, frame)
+    reader.string()  # the child frame
+    d_x, d_y, _, x, y, z, w = reader.doubles(_ODOMETRY_NUMBERS, 7)
+    check_size('dog position and orientation', d_x, d_y, x, y, z, w)
+    if not abs(x * x + y * y + z * z + w * w - 1.0) <= _ROUNDING:
+        raise Refused(
+            'not a rotation',
+            f'the orientation must have length 1, got ({x:g}, {y:g}, {z:g}, {w:g})',
+        )
+    # Does not depend on the length, so that nothing has to be normalised.
+    heading = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return ns, np.array([d_x, d_y]), heading
+
+
+def command_in(data: bytes, m: int, frame: str, max_speed: float) -> tuple[int, Array]:
+    """Time [ns] and velocity (2,) [m/s], of at most max_speed, of a TwistStamped for dog m."""
+    reader = Reader(data)
+    ns, given = reader.header()
+    check_frame('command', given, dog_frame(m), frame)
+    return ns, _velocity_in(reader, max_speed)
+
+
+def twist_in(data: bytes, max_speed: float) -> Array:
+    """Velocity (2,) [m/s], of at most max_speed [m/s], of a Twist."""
+    return _velocity_in(Reader(data), max_speed)
+
+
+def _velocity_in(reader: Reader, max_speed: float) -> Array:
+    """Read the linear and angular velocity at the end of a message; x and y count.
+
+    NaN in any of them refuses all: whatever sent it is out of order.
+    """
+    values = reader.doubles(6, 6)
+    check_finite('command', *values)
+    x, y = values[:2]
+    if math.hypot(x, y) > max_speed * (1 + 1e-6):  # rounded, and turned into the dog's frame
+        raise Refused(
+            'too fast', f'it must be at most {max_speed:g} m/s, got {math.hypot(x, y):g} m/s'
+        )
+    return np.array([x, y])
+
+
+def goal_in(data: bytes, frame: str) -> Array:
+    """Destination (2,) [m] in a PoseStamped."""
+    reader = Reader(data)
+    _, given = reader.header()
+    check_frame('goal', given, frame)
+    x, y = reader.doubles(7, 2)
+    check_size('goal', x, y)
+    return np.array([x, y])

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What RViz draws: paths and markers."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from nav_msgs.msg import Path
+import numpy as np
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from herding_ros.model.state import Array
+
+from .stamps import stamp_of
+
+
+def path(route: Array, dt: float, ns: int, frame: str) -> Path:
+    """Route (K, 2) [m], its points dt [s] apart, the first at the stamp."""
+    message = Path(header=Header(stamp=stamp_of(ns), frame_id=frame))
+    upright = Quaternion(w=1.0)
+    for k, (x, y) in enumerate(route.tolist()):
+        header = Header(stamp=stamp_of(ns + round(k * dt * 1e9)), frame_id=frame)
+        pose = Pose(position=Point(x=x, y=y), orientation=upright)
+        message.poses.append(PoseStamped(header=header, pose=pose))
+    return message
+
+
+def marker_array(x: Array, d: Array, goal: Array, ns: int, frame: str) -> MarkerArray:
+    """Sheep as blue dots, dogs as red triangles, a cross at the destination."""
+    blue, red = ColorRGBA(r=0.1, g=0.3, b=0.9, a=1.0), ColorRGBA(r=0.9, g=0.1, b=0.1, a=1.0)
+    black = ColorRGBA(a=1.0)
+    corners = 0.04 * np.array([[0.0, 1.0], [-0.87, -0.5], [0.87, -0.5]])
+    cross = 0.05 * np.array([[-1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [1.0, -1.0]])
+    shapes = (
+        ('sheep', Marker.SPHERE_LIST, blue, 0.03, x),
+        ('dogs', Marker.TRIANGLE_LIST, red, 1.0, (d[:, None] + corners).reshape(-1, 2)),
+        ('goal', Marker.LINE_LIST, black, 0.01, goal + cross),
+    )
+    return MarkerArray(
+        markers=[
+            Marker(
+                header=Header(stamp=stamp_of(ns), frame_id=frame),
+                ns=name,
+                type=kind,
+                action=Marker.ADD,
+                pose=Pose(orientation=Quaternion(w=1.0)),
+                scale=Vector3(x=size, y=size, z=size),
+                color=color,
+                points=[Point(x=x, y=y) for x, y in vertices.tolist()],
+            )
+            for name, kind, color, size, vertices in shapes
+        ]
+    )

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How our nodes publish: quality of service, counts, matched subscribers, the last messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+import time
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from .topic_qos import asks_more
+
+CLOCK = '/clock'
+"""The topic that publishes the time of a simulation."""
+
+EVERY_MESSAGE = QoSProfile(depth=1000)
+"""Reliable, with room for what a slow subscriber has not received yet."""
+
+ADJUSTABLE = QoSOverridingOptions.with_default_policies()
+"""Lets users change reliability and depth by parameters, for robots on a radio link."""
+
+UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
+"""No events: the executor would check two for every publisher each time it wakes."""
+
+_FLUSH_TIME = 1.0
+"""Longest time in which the last messages are delivered before a node ends [s]."""
+
+
+class CountingPublisher(Publisher):
+    """A publisher that counts the messages it has published."""
+
+    count = 0
+
+    def publish(self, msg: Any) -> None:
+        """Publish and count."""
+        super().publish(msg)
+        self.count += 1
+
+
+def flush(node: Node) -> None:
+    """Log what was published, and wait until it is acknowledged."""
+    published = [p for p in node.publishers if isinstance(p, CountingPublisher) and p.count]
+    counts = ', '.join(f'{p.count} on {p.topic_name}' for p in published)
+    node.get_logger().info(f'published {counts or "nothing"}')
+    deadline = time.monotonic() + _FLUSH_TIME
+    # Busy topics first: they are acknowledged at once, quiet ones with the next heartbeat.
+    for publisher in sorted(published, key=lambda p: -p.count):
+        remaining = max(deadline - time.monotonic(), 0.0)
+        publisher.wait_for_all_acked(Duration(nanoseconds=int(remaining * 1e9)))
+
+
+def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool:
+    """Whether publishers are matched with the node named `listener` and all other subscribers.
+
+    Subscribers that ask for more than a publisher offers are never matched, and do not count. Nor
+    does rclpy's own subscription to /clock, which has a lower reliability, count as listening.
+    """
+    for publisher in publishers:
+        subscribers = [
+            info
+            for info in node.get_subscriptions_info_by_topic(publisher.topic_name)
+            if not asks_more(info.qos_profile, publisher.qos_profile)
+        ]
+        listeners = {
+            info.node_name
+            for info in subscribers
+            if publisher.topic_name != CLOCK
+            or info.qos_profile.reliability == publisher.qos_profile.reliability
+        }
+        if listener not in listeners:
+            return False
+        if publisher.get_subscription_count() < len(subscribers):
+            return False
+    return True

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SIGINT and SIGTERM, without exceptions in the middle of something."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+import os
+import signal
+import sys
+import threading
+
+ENDING = (signal.SIGINT, signal.SIGTERM)
+"""The signals that ask a process to end."""
+
+
+class Signals:
+    """End the process with exit code 0 at a signal, until there is something to call instead.
+
+    Python's handlers run only when the main thread comes to it, and rclpy's shut the context
+    down under the last messages. The byte that Python writes at once wakes a thread instead.
+    """
+
+    def __init__(self) -> None:
+        # While the node is made, kernels may be compiling, and no other node has seen it.
+        self._act: Callable[[], None] = partial(exit_at_once, 0)
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        for number in ENDING:
+            signal.signal(number, lambda *_: None)
+
+        def wait() -> None:
+            os.read(reading, 1)
+            self._act()
+
+        threading.Thread(target=wait, daemon=True).start()
+
+    def call(self, act: Callable[[], None]) -> None:
+        """Call act, in a thread of its own, at the first signal."""
+        self._act = act
+
+
+def note_signals() -> threading.Event:
+    """Return an event that the signals set, and do nothing else."""
+    noted = threading.Event()
+    for number in ENDING:
+        signal.signal(number, lambda *_: noted.set())
+    return noted
+
+
+def ignore_signals() -> None:
+    """Keep further signals out of the exit code: Python gives them their default back."""
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def exit_at_once(code: int) -> None:
+    """Flush the output and end without freeing anything."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
