@@ -242,9 +242,7 @@ def test_cut_at_any_byte(tmp_path: Path, small: tuple[Path, Messages]) -> None:
     for length in [*range(12), *range(12, first, 11), *range(first - 1, len(whole))]:
         cut = tmp_path / f'{length}'
         cut.mkdir()
-        (cut / 'bag_0.mcap').write_bytes(
-            whole[:length] + bytes(1000 * (length % 3 == 0))
-        )
+        (cut / 'bag_0.mcap').write_bytes(whole[:length] + bytes(1000 * (length % 3 == 0)))
         (result,) = recover(cut).files
         expected = messages[: 6 if length >= second else 3 if length >= first else 0]
         assert read_by_mcap(cut) == expected, length
