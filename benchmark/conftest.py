@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all benchmarks share: sizes, and timing two things in turns."""
+"""Shared by all benchmarks: sizes, and timing two functions in turns."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ _QUICK = {
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add --quick."""
-    parser.addoption('--quick', action='store_true', help='tiny cases: does it all work?')
+    parser.addoption('--quick', action='store_true', help='tiny cases, as a test')
 
 
 def pytest_configure() -> None:
-    """Look at the machine while it is still idle."""
+    """Describe the machine while it is still idle."""
     machine.describe()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep little of it with --quick."""
+    """Keep few cases with --quick."""
 
     def is_quick(item: pytest.Item) -> bool:
         case = item.callspec.params if hasattr(item, 'callspec') else {}
@@ -52,7 +52,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_benchmark_update_machine_info(config: pytest.Config, machine_info: dict) -> None:
-    """Replace what pytest-benchmark says of the machine: that names its host."""
+    """Replace the description by pytest-benchmark, which names the host."""
     machine_info.clear()
     machine_info.update(machine.describe())
 
@@ -73,7 +73,7 @@ def quick(pytestconfig: pytest.Config) -> bool:
 
 @pytest.fixture
 def record(benchmark: Any, record_property: Any) -> Callable[..., None]:
-    """Return a function that keeps facts for the report: what was measured, where, result."""
+    """Return a function that keeps facts for the report: subject, figure, and more."""
 
     def keep(what: str, figure: str, **facts: Any) -> None:
         benchmark.extra_info.update(what=what, **facts)
@@ -86,8 +86,8 @@ def record(benchmark: Any, record_property: Any) -> Callable[..., None]:
 def compare(benchmark: Any, record: Callable[..., None], quick: bool) -> Callable[..., None]:
     """Return a function that times ours and a peer in turns and records the ratios.
 
-    A, B, A, B, ...: a ratio is that of two neighbours, so that what slows the machine down for
-    a while slows down both.
+    A, B, A, B, ...: a ratio is that of two neighbours, so that other load on the machine
+    affects both.
     """
 
     def run(
@@ -128,5 +128,5 @@ def compare(benchmark: Any, record: Callable[..., None], quick: bool) -> Callabl
 
 @pytest.fixture(autouse=True)
 def _in_scratch(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run where files may be left: CasADi writes its C into the working directory."""
+    """Run in a scratch folder: CasADi writes its C into the working directory."""
     monkeypatch.chdir(tmp_path)

@@ -36,7 +36,7 @@ from herding_ros.nodes.supervision import Child
 from herding_ros.report.style import legend, new, save
 
 WARM_UP = 0.1
-"""Part of a run that is not judged: caches fill, the recorder learns the topics."""
+"""Share of a run that is not judged: caches fill, the recorder discovers the topics."""
 
 _FILE_SIZE = 50_000_000
 """Size of a file of the bag [byte]. The index of an open file is kept in memory."""
@@ -47,7 +47,7 @@ _PUBLISHED = re.compile(r'(\d+) on (/[\w/]+)')
 
 @dataclass(frozen=True)
 class Endured:
-    """What came of a run.
+    """The course of a run.
 
     wall: (T,) wall time of each sample [s]; simulated: (T,) [s]; memory: resident memory by node,
     (T,) each [MB]; lost: messages that were published and are not in the bag, by topic;
@@ -143,7 +143,7 @@ def endure(
 
 
 def _lost(out: Path, children: list[Child]) -> tuple[dict[str, int], int]:
-    """Return what sim and controller say they published but the bag does not hold; its size."""
+    """Return the messages that were published but are not in the bag, and its size."""
     metadata = read_metadata(out / 'bag')
     recorded = {
         topic['topic_metadata']['name']: topic['message_count']
@@ -153,14 +153,14 @@ def _lost(out: Path, children: list[Child]) -> tuple[dict[str, int], int]:
     for child in children:
         said = [line for line in child.log.read_text().splitlines() if '] published ' in line]
         for count, topic in _PUBLISHED.findall(said[-1] if said else ''):
-            # /diagnostics has several publishers, of which the recorder hears itself last.
+            # /diagnostics has several publishers, the recorder itself among them.
             if topic != '/diagnostics' and int(count) != recorded.get(topic, 0):
                 lost[topic] = int(count) - recorded.get(topic, 0)
     return lost, metadata['message_count']
 
 
 def _deadlines(bag: Path) -> list[float]:
-    """Return by how much each plan was ready before its window [s]."""
+    """Return the time from the completion of each plan to its window [s]."""
     margins = []
     with AnyReader([bag]) as reader:
         of_diagnostics = [c for c in reader.connections if c.topic == '/diagnostics']
@@ -173,7 +173,7 @@ def _deadlines(bag: Path) -> list[float]:
 
 
 def _jitter(bag: Path, period: float) -> dict[str, float]:
-    """Return percentiles of how far the time between two commands is from the period [ms]."""
+    """Return percentiles of the deviation of the time between two commands [ms]."""
     stamps: list[int] = []
     for file in bag.glob('*.mcap'):
         with file.open('rb') as stream:
@@ -202,7 +202,7 @@ def draw(endured: Endured, path: Path) -> None:
 
 
 def summary(endured: Endured) -> dict[str, Any]:
-    """Return what one wants to know of a run."""
+    """Return the result of a run."""
     return {
         'simulated_s': endured.simulated[-1],
         'wall_s': round(endured.wall[-1], 1),

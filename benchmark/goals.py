@@ -31,6 +31,9 @@ def replans(results: Results) -> list[float]:
     return [1e3 * seconds for seconds in times]
 
 
+NOT_MEASURED = 'not measured'
+
+
 @dataclass(frozen=True)
 class Goal:
     """A bound on the median of some measurements."""
@@ -46,7 +49,7 @@ class Goal:
         bound = f'{"≥" if self.at_least else "≤"} {self.bound:g}{self.unit}'
         values = self.measured(results)
         if not values:
-            return markdown.Goal(self.text, bound, 'not measured', None)
+            return markdown.Goal(self.text, bound, NOT_MEASURED, None)
         found = Quartiles.of(values)
         over = found.median - self.bound
         reached = over >= 0.0 if self.at_least else over <= 0.0

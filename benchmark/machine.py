@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Describes the machine that the figures were taken on, without saying whose it is."""
+"""Describes the machine that the figures were taken on, without its owner."""
 
 from __future__ import annotations
 

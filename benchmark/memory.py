@@ -37,14 +37,14 @@ def measure(implementation: str, sheep: int, dogs: int, steps: int) -> dict[str,
         before = resident('VmRSS')
         problem.value_and_gradient()
     else:
-        from benchmark.peers.numpy_ensemble import expected_positions
+        from benchmark.peers.numpy_ensemble import mean_centre
 
         before = resident('VmRSS')
         noise = problem.noise(PATHS)
         if implementation == 'ours, ensemble':
-            problem.expected_positions(noise)
+            problem.mean_centre(noise)
         else:
-            expected_positions(problem, problem.noise_array(noise))
+            mean_centre(problem, problem.noise_array(noise))
     return {'before': before, 'peak': resident('VmHWM')}
 
 

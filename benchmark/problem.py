@@ -15,8 +15,9 @@ from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
 from herding_ros.control.reference import reference
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.expectation import mean_centre
 from herding_ros.model.noise import noise_paths, NoisePaths
+from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array
 
@@ -33,7 +34,7 @@ SUBSTEPS = 10
 
 @dataclass(frozen=True)
 class Problem:
-    """A flock, its dogs, a cost and a control at which everybody takes value and gradient.
+    """A flock, its dogs, a cost, and the control at which value and gradient are computed.
 
     The starting positions are those of the package's scenario, the cost has the controller's
     default weights and reference, the control is random within the speed limit.
@@ -79,12 +80,11 @@ class Problem:
         rng = np.random.default_rng(2)
         return noise_paths(rng, self.coarse.crowd, self.sheep, DT, self.steps, paths)
 
-    def expected_positions(self, noise: NoisePaths, threads: int | None = None) -> Array:
-        """Return our mean positions (K+1, N, 2) [m]."""
+    def mean_centre(self, noise: NoisePaths, threads: int | None = None) -> Array:
+        """Return our mean of the sheep's centre (K+1, 2) [m]."""
         coarse = self.coarse
-        return expected_positions(
-            coarse.crowd, coarse.state, self.u, coarse.dt, coarse.substeps, noise, threads
-        )
+        fine = FineModel(coarse.crowd, coarse.state, coarse.dt, self.steps, coarse.substeps)
+        return mean_centre(fine, self.u, noise, threads)
 
     def noise_array(self, noise: NoisePaths) -> Array:
         """Return the same noise (paths, K, 2, N) [m/s] as one plain array, for the peers."""
@@ -92,7 +92,7 @@ class Problem:
 
     @property
     def interactions(self) -> int:
-        """Forces of one individual on one sheep in a step: from other sheep, and from dogs."""
+        """Number of forces of single sheep and dogs on single sheep in a step."""
         return self.sheep * (self.sheep - 1) + self.sheep * self.dogs
 
     @property

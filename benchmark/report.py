@@ -9,7 +9,7 @@ from string import Template
 
 from benchmark import tables
 from benchmark.figure import draw
-from benchmark.goals import growth, growth_of_step
+from benchmark.goals import growth, growth_of_step, NOT_MEASURED
 from benchmark.results import Results
 from herding_ros.model.fast_forces import CROSSOVER
 from herding_ros.report.statistics import Quartiles
@@ -36,11 +36,11 @@ def section(results: Results) -> str:
     """Return the text of the page."""
 
     def spread(values: list[float]) -> str:
-        return str(Quartiles.of(values)) if values else tables.NOT_MEASURED
+        return str(Quartiles.of(values)) if values else NOT_MEASURED
 
     def largest_difference(what: str) -> str:
         found = [entry['difference'] for entry in results.of(what)]
-        return f'{max(found):.0e}' if found else tables.NOT_MEASURED
+        return f'{max(found):.0e}' if found else NOT_MEASURED
 
     roof = [
         1e-6 * entry['evaluations'] / seconds

@@ -2,7 +2,7 @@
 """The roof over the kernels: nothing but the exponentials and the square root of each pair.
 
 A pair force needs two exponentials and one square root. The bare loop does just these, with
-the package's own exponential, on an array that fits in the first-level cache, and adds up.
+the package's own exponential, on an array that fits in the first-level cache, and sums up.
 """
 
 from __future__ import annotations

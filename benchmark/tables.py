@@ -9,14 +9,14 @@ from itertools import product
 
 import numpy as np
 
-from benchmark.goals import GOALS
+from benchmark.goals import GOALS, NOT_MEASURED
 from benchmark.memory import IMPLEMENTATIONS
 from benchmark.problem import DOGS, SHEEP
 from benchmark.results import Entry, Results
 from herding_ros.report import markdown
 from herding_ros.report.statistics import Quartiles, significant
 
-table = partial(markdown.table, nothing='not measured')
+table = partial(markdown.table, nothing=NOT_MEASURED)
 
 
 def median(seconds: Sequence[float], per: float) -> float:

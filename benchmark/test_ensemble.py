@@ -21,14 +21,12 @@ def test_numpy(compare: Callable[..., None], quick: bool, sheep: int, dogs: int)
     paths = 10 if quick else PATHS
     noise = problem.noise(paths)
     plain = problem.noise_array(noise)
-    apart = np.abs(
-        problem.expected_positions(noise) - numpy_ensemble.expected_positions(problem, plain)
-    ).max()
+    apart = np.abs(problem.mean_centre(noise) - numpy_ensemble.mean_centre(problem, plain)).max()
     assert apart <= 1e-10
     compare(
         'ensemble',
-        lambda: problem.expected_positions(noise),
-        lambda: numpy_ensemble.expected_positions(problem, plain),
+        lambda: problem.mean_centre(noise),
+        lambda: numpy_ensemble.mean_centre(problem, plain),
         peer='NumPy',
         sheep=sheep,
         dogs=dogs,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How regularly commands come while the controller keeps its own time and plans beside."""
+"""Regularity of commands while the controller keeps its own time and plans in the background."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ NEAR = 1e-4
 
 
 class _ReachedError(Exception):
-    """The objective is as low as wanted."""
+    """The objective has reached the target."""
 
 
 class Race:

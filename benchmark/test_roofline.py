@@ -22,7 +22,7 @@ def kernel_and_counts(kernel: str, problem: Problem) -> tuple[Callable[[], Any],
     if kernel == 'ensemble':
         paths = 32
         noise = problem.noise(paths)
-        run = lambda: problem.expected_positions(noise, threads=1)  # noqa: E731
+        run = lambda: problem.mean_centre(noise, threads=1)  # noqa: E731
         return run, paths * problem.steps
     if kernel == 'rollout':
         return lambda: problem.coarse.rollout(problem.u), problem.steps

@@ -62,7 +62,7 @@ def test_peer(compare: Callable[..., None], quick: bool, name: str, sheep: int, 
 def test_peer_as_written_at_first(
     compare: Callable[..., None], quick: bool, name: str, label: str, options: dict[str, bool]
 ) -> None:
-    """Time a peer before anybody made it faster."""
+    """Time a straightforward version of a peer."""
     module = pytest.importorskip(PEERS[name])
     problem = Problem(10 if quick else 30, 5, 20 if quick else STEPS[30])
     measure(compare, label, module.value_and_gradient(problem, **options), problem)

@@ -17,15 +17,15 @@ from benchmark import report  # noqa: E402
 from benchmark.memory import resident  # noqa: E402
 from benchmark.peers import numpy_ensemble, scipy_lbfgsb  # noqa: E402
 from benchmark.problem import Problem  # noqa: E402
-from benchmark.results import Results, Spread  # noqa: E402
+from benchmark.results import Results  # noqa: E402
 
 
 def test_numpy_has_the_same_ensemble() -> None:
     problem = Problem(sheep=4, dogs=2, steps=20)
     noise = problem.noise(paths=5)
-    theirs = numpy_ensemble.expected_positions(problem, problem.noise_array(noise))
-    assert theirs.shape == (21, 4, 2)
-    np.testing.assert_allclose(theirs, problem.expected_positions(noise), rtol=0, atol=1e-12)
+    theirs = numpy_ensemble.mean_centre(problem, problem.noise_array(noise))
+    assert theirs.shape == (21, 2)
+    np.testing.assert_allclose(theirs, problem.mean_centre(noise), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize('peer', ['jax', 'casadi'])
@@ -95,10 +95,6 @@ def test_the_page_keeps_what_others_wrote(results: Results, tmp_path: Path) -> N
     )
     with pytest.raises(ValueError, match='not both'):
         report.put(once.replace('end', ''), report.SECTION, 'text')
-
-
-def test_spread_is_shown_with_three_digits_and_quartiles() -> None:
-    assert str(Spread.of([0.01234, 12345.6, 3.14159, 2.0, 4.0])) == '3.14 (2.00 to 4.00)'
 
 
 def test_peak_memory_counts_what_was_there_for_a_moment() -> None:

@@ -13,7 +13,7 @@ PACKAGE = Path(herding_ros.__file__).parent
 MAY_IMPORT = {
     'model': set(),
     'control': {'model'},
-    'studies': {'model', 'control', 'bag'},
+    'studies': {'model', 'control', 'report'},
     'bag': set(),
     'report': {'bag', 'model'},
     'nodes': {'model', 'control', 'bag', 'report'},

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same problems in the words of other libraries, each as fast as we could write it."""
+"""The same problems with other libraries, each as fast as we could make it."""

@@ -26,7 +26,7 @@ def _slope_over_r(r2: Any, p: tuple[float, float, float, float]) -> Any:
     return (p[2] * ca.exp(-p[3] * r) - p[0] * ca.exp(-p[1] * r)) / r
 
 
-def _pull_of_flock(x: Any, y: Any, p: tuple[float, float, float, float]) -> tuple[Any, Any]:
+def _force_of_flock(x: Any, y: Any, p: tuple[float, float, float, float]) -> tuple[Any, Any]:
     n = x.numel()
     first, second = np.triu_indices(n, 1)
     pairs = range(len(first))
@@ -38,7 +38,9 @@ def _pull_of_flock(x: Any, y: Any, p: tuple[float, float, float, float]) -> tupl
     return ca.mtimes(sum_over_pairs, a * dx) / n, ca.mtimes(sum_over_pairs, a * dy) / n
 
 
-def _pull_of_dogs(x: Any, y: Any, d: Any, p: tuple[float, float, float, float]) -> tuple[Any, Any]:
+def _force_of_dogs(
+    x: Any, y: Any, d: Any, p: tuple[float, float, float, float]
+) -> tuple[Any, Any]:
     n, m = x.numel(), d.shape[0]
     dx = ca.repmat(x, 1, m) - ca.repmat(d[:, 0].T, n, 1)
     dy = ca.repmat(y, 1, m) - ca.repmat(d[:, 1].T, n, 1)
@@ -58,8 +60,8 @@ def value_and_gradient(
     x, v, d, u = (
         ca.MX.sym(name, size, 2) for name, size in zip('xvdu', (n, n, m, m), strict=True)
     )
-    flock = _pull_of_flock(x[:, 0], x[:, 1], coarse.crowd.sheep.coefficients)
-    dogs = _pull_of_dogs(x[:, 0], x[:, 1], d, coarse.crowd.dog.coefficients)
+    flock = _force_of_flock(x[:, 0], x[:, 1], coarse.crowd.sheep.coefficients)
+    dogs = _force_of_dogs(x[:, 0], x[:, 1], d, coarse.crowd.dog.coefficients)
     force = ca.horzcat(flock[0] + dogs[0], flock[1] + dogs[1])
     following = x + dt * v, v - dt * (force + coarse.crowd.friction * v), d + dt * u
     step = ca.Function('step', [ca.veccat(x, v, d), ca.vec(u)], [ca.veccat(*following)])

@@ -29,7 +29,7 @@ def _slope_over_r(r2: Any, p: tuple[float, float, float, float]) -> Any:
     return jnp.where(apart, slope / r, 0.0)
 
 
-def _pull(x: Any, y: Any, p: tuple[float, float, float, float]) -> Any:
+def _force(x: Any, y: Any, p: tuple[float, float, float, float]) -> Any:
     """Sum over all y[2, M] of the gradient of P(|x_i - y_m|), (2, N)."""
     dx = x[0][:, None] - y[0]
     dy = x[1][:, None] - y[1]
@@ -37,15 +37,15 @@ def _pull(x: Any, y: Any, p: tuple[float, float, float, float]) -> Any:
     return x * a.sum(1) - y @ a.T
 
 
-def _plain_pull(x: Any, y: Any, p: tuple[float, float, float, float]) -> Any:
-    """Do the same as one would write it at first."""
+def _plain_force(x: Any, y: Any, p: tuple[float, float, float, float]) -> Any:
+    """Do the same in a straightforward version."""
     s = x[:, :, None] - y[:, None, :]
     return (_slope_over_r(jnp.square(s).sum(0), p) * s).sum(2)
 
 
 def value_and_gradient(problem: Problem, tuned: bool = True) -> Callable[[], tuple[float, Array]]:
     """Return a compiled function of nothing: value, and gradient in L2(0, T)."""
-    pull = _pull if tuned else _plain_pull
+    force_of = _force if tuned else _plain_force
     coarse, objective, tracking = problem.coarse, problem.objective, problem.tracking
     crowd, dt, n = coarse.crowd, coarse.dt, problem.sheep
     start = tuple(jnp.asarray(a.T) for a in (coarse.state.x, coarse.state.v, coarse.state.d))
@@ -53,7 +53,8 @@ def value_and_gradient(problem: Problem, tuned: bool = True) -> Callable[[], tup
 
     def step(state: Any, u: Any) -> tuple[Any, Any]:
         x, v, d = state
-        force = pull(x, x, crowd.sheep.coefficients) / n + pull(x, d, crowd.dog.coefficients)
+        force = force_of(x, x, crowd.sheep.coefficients) / n
+        force += force_of(x, d, crowd.dog.coefficients)
         following = x + dt * v, v - dt * (force + crowd.friction * v), d + dt * u
         return following, following[0]
 

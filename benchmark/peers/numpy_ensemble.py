@@ -3,7 +3,7 @@
 
 Buffers are made once, coordinates are apart, and as many paths are taken at a time as were
 found to be fastest. (A list of pairs, each taken once, is slower: it has to be gathered and
-scattered.) One thread: NumPy has no other.
+scattered.) One thread: NumPy is not threaded here.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from benchmark.problem import Problem
 from herding_ros.model.state import Array
 
 _PAIRS = 100_000
-"""So many entries a buffer of pairs has."""
+"""Entries of a buffer of pairs."""
 
 
-class _Pull:
+class _Forces:
     """Sums over sources of the gradient of P(|x_i - y_j|), for some paths at once."""
 
     def __init__(self, shape: tuple[int, ...], p: tuple[float, float, float, float]) -> None:
@@ -45,25 +45,25 @@ class _Pull:
         return np.stack([dx.sum(2), dy.sum(2)])
 
 
-def expected_positions(problem: Problem, noise: Array) -> Array:
-    """Mean positions (K+1, N, 2) [m] over the paths of noise (paths, K, 2, N) [m/s]."""
+def mean_centre(problem: Problem, noise: Array) -> Array:
+    """Mean of the sheep's centre (K+1, 2) [m] over the paths of noise (paths, K, 2, N) [m/s]."""
     coarse, n = problem.coarse, problem.sheep
     crowd, dt = coarse.crowd, coarse.dt
-    total = np.zeros((problem.steps + 1, 2, n))
+    total = np.zeros((problem.steps + 1, 2))
     at_once = min(max(_PAIRS // n**2, 1), len(noise))
     for first in range(0, len(noise), at_once):
         of_paths = noise[first : first + at_once].transpose(1, 2, 0, 3)
         paths = of_paths.shape[2]
-        pull_of_flock = _Pull((paths, n, n), crowd.sheep.coefficients)
-        pull_of_dogs = _Pull((paths, n, problem.dogs), crowd.dog.coefficients)
+        force_of_flock = _Forces((paths, n, n), crowd.sheep.coefficients)
+        force_of_dogs = _Forces((paths, n, problem.dogs), crowd.dog.coefficients)
         x = np.repeat(coarse.state.x.T[:, None], paths, axis=1)
         v = np.repeat(coarse.state.v.T[:, None], paths, axis=1)
         d = coarse.state.d.T[:, None].copy()
         for k in range(problem.steps):
-            total[k] += x.sum(1)
-            force = pull_of_flock(x, x) / n + pull_of_dogs(x, d) + crowd.friction * v
+            total[k] += x.sum((1, 2))
+            force = force_of_flock(x, x) / n + force_of_dogs(x, d) + crowd.friction * v
             x += dt * v
             v += of_paths[k] - dt * force
             d += dt * problem.u[k // coarse.substeps].T[:, None]
-        total[-1] += x.sum(1)
-    return total.transpose(0, 2, 1) / len(noise)
+        total[-1] += x.sum((1, 2))
+    return total / (len(noise) * n)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from herding_ros.model import kernels
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import physics, positions, reverse_sweep, rollout
+from herding_ros.model.linear_algebra import times, transposed_times
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.state import Array, HerdState, Trajectory
 
@@ -135,11 +136,11 @@ class CentreSensitivity:
     def times(self, du: Array) -> Array:
         """Return the change of the residuals under a change du of the control."""
         out = np.empty(len(self.matrix))
-        kernels.times(self.matrix, np.ascontiguousarray(du).ravel(), out)
+        times(self.matrix, np.ascontiguousarray(du).ravel(), out)
         return out
 
     def transposed(self, e: Array) -> Array:
         """Return the adjoint of `times` in L2(0, T)."""
         out = np.empty(self.matrix.shape[1])
-        kernels.transposed_times(self.matrix, e, out)
+        transposed_times(self.matrix, e, out)
         return out.reshape(self.shape) / self.interval

@@ -1,9 +1,11 @@
-"""The crowd: who pulls at whom, what slows sheep down, what pushes them about."""
+# SPDX-License-Identifier: Apache-2.0
+"""The crowd: forces between sheep, of dogs and of the world, friction and random force."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from .external_force import ExternalForce, NoForce
 from .noise_field import NoiseField, NoiseFunction
 from .parameters import Parameters, quantity
 from .potentials import Morse, Potential
@@ -13,7 +15,7 @@ from .potentials import Morse, Potential
 class Crowd(Parameters):
     """How sheep move (paper, state system). The defaults are the preset `cohesive`.
 
-    How the last three make up the random force is told in `noise`.
+    See `noise` for how noise, common_noise and noise_field make up the random force.
     """
 
     sheep: Potential = Morse(1.0, 1e-2, 5e-4, 2.0)
@@ -26,6 +28,7 @@ class Crowd(Parameters):
         0.0, 'share of its variance that all sheep have in common', low=0.0, high=1.0, live=True
     )
     noise_field: NoiseFunction = NoiseField()
+    external: ExternalForce = NoForce()
 
 
 CROWDS = {
@@ -36,7 +39,7 @@ CROWDS = {
 """Crowds by name; `sheep` is the potential between two sheep, `dog` that of a dog on a sheep.
 
 `cohesive` is the paper's with the two lengths swapped, so that the text's long-range
-attraction and short-range repulsion hold; `printed` takes the paper by the letter, and the
+attraction and short-range repulsion hold; `printed` takes the paper literally, and the
 crowd explodes. `guided` follows its dogs, which are guides: they attract, but not to
 themselves, since both parts have the same slope at r = 0.
 """

@@ -5,12 +5,12 @@ With x, v the sheep's positions and velocities, d the dogs' positions, and P_1 a
 potentials of sheep and dogs (paper, state system):
 
     x_i' = x_i + dt v_i
-    v_i' = v_i + dt (-1/N sum_j grad P_1(x_i - x_j) - sum_m grad P_2(x_i - d_m) - alpha v_i)
-               + sigma f(t, x_i) dB_i
+    v_i' = v_i + dt (-1/N sum_j grad P_1(x_i - x_j) - sum_m grad P_2(x_i - d_m) + g(x_i)
+                     - alpha v_i) + sigma f(t, x_i) dB_i
 
-The dogs' path follows from their commands u alone, see `motion`. The noise sigma dB is an
-argument, see `noise`. Without it this is the paper's coarse model, with it the fine one; there
-is no other difference.
+with g the external force, none by default. The dogs' path follows from their commands alone, see
+`motion`. The noise sigma dB is an argument, see `noise`. Without it this is the paper's coarse
+model, with it the fine one; there is no other difference.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from . import fast_forces, kernels
 from .crowd import Crowd
 from .motion import Holonomic, MotionModel
 from .noise import is_uniform, random_force
+from .potentials.forms import divided
 from .state import Array, finite, HerdState, Trajectory
 
 
@@ -33,8 +34,9 @@ def physics(crowd: Crowd, n: int, dt: float) -> kernels.Physics:
     """Return the constants that the kernels need for n sheep and steps of dt [s]."""
     if not (np.isfinite(dt) and dt > 0.0):
         raise ValueError(f'time step dt must be a number above 0, got {dt!r}')
-    sheep = kernels.divided(crowd.sheep.kernel_form(), n)
-    return kernels.Physics(n, float(dt), sheep, crowd.dog.kernel_form(), crowd.friction)
+    sheep = divided(crowd.sheep.kernel_form(), n)
+    dog, external = crowd.dog.kernel_form(), crowd.external.kernel_form()
+    return kernels.Physics(n, float(dt), sheep, dog, crowd.friction, external)
 
 
 def to_lanes(points: Array) -> Array:
@@ -45,7 +47,7 @@ def to_lanes(points: Array) -> Array:
 
 
 def forces(crowd: Crowd, x: Array, d: Array, accuracy: float = fast_forces.ACCURACY) -> Array:
-    """Interaction forces (N, 2) [m/s^2] on sheep at x (N, 2) [m] from each other and dogs d.
+    """Forces (N, 2) [m/s^2] on sheep at x (N, 2) [m] from each other, from dogs d and the world.
 
     With many sheep the error is up to `accuracy`, relative in the Euclidean norm over all.
     """
@@ -67,7 +69,7 @@ def _summation(
 def _acceleration(sums: fast_forces.Sums, x: Array, d: Array, constants: kernels.Physics) -> Array:
     """Do what `kernels.acceleration` does, with forces between sheep from `sums`."""
     out = -sums.gradients(x)
-    kernels.subtract_pulls(*out, *x, d, constants.dog)
+    kernels.add_outer_forces(*out, *x, d, constants)
     out[:, constants.n :] = 0.0
     return out
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An expectation to a wanted standard error: paths shared out between the levels, and averaged.
 
 The root mean square over the window of the standard error of the centre (a 2-vector) is what
@@ -17,7 +18,9 @@ import os
 import numpy as np
 
 from .dynamics import check_control
-from .sampling import Estimator, FineModel, interpolate, Sampler
+from .kernels import PATHS
+from .noise import NoisePaths
+from .sampling import FineModel, interpolate, MonteCarloEstimator, Resolution, Sampler
 from .state import Array
 
 _MEMORY = 2**28
@@ -39,6 +42,17 @@ class Expectation:
     standard_error: float
     paths: tuple[int, ...]
     work: float
+
+
+def mean_centre(fine: FineModel, u: Array, noise: NoisePaths, threads: int | None = None) -> Array:
+    """Return the mean of the sheep's centre (K+1, 2) [m] under u over the given noise paths."""
+    if fine.at_once == PATHS:
+        blocks = list(noise.blocks)
+    else:
+        blocks = [noise.path(i)[:, :, : fine.sheep] for i in range(noise.paths)]
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        centres = list(pool.map(Resolution().sampler(fine, u), blocks))
+    return np.concatenate(centres, axis=2)[..., : noise.paths].mean(axis=2)
 
 
 class Stream:
@@ -73,7 +87,7 @@ class Noise:
     For all fine models with the same crowd, number of sheep and time grid.
     """
 
-    def __init__(self, fine: FineModel, estimator: Estimator, seed: int) -> None:
+    def __init__(self, fine: FineModel, estimator: MonteCarloEstimator, seed: int) -> None:
         """Draw nothing yet."""
         levels = estimator.levels(fine)
         self.streams = [
@@ -95,7 +109,7 @@ class ExpectedCentre:
     def __init__(
         self,
         fine: FineModel,
-        estimator: Estimator,
+        estimator: MonteCarloEstimator,
         noise: Noise,
         standard_error: float,
         most: int,
@@ -103,7 +117,7 @@ class ExpectedCentre:
     ) -> None:
         """Take the estimator of which the noise is; compute nothing yet."""
         if most < _FEWEST:
-            raise ValueError(f'most is {most} paths, allowed is at least {_FEWEST}')
+            raise ValueError(f'most must be at least {_FEWEST} paths, got {most}')
         self._levels = estimator.levels(fine)
         self._noise = noise
         self._fine = fine

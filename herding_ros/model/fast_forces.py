@@ -13,6 +13,7 @@ import numpy as np
 from . import kernels
 from .particle_mesh import ParticleMesh, Run
 from .potentials import Potential
+from .potentials.forms import divided, PotentialForm
 from .state import Array
 
 CROSSOVER = 1500
@@ -52,8 +53,8 @@ class DirectSum:
     n: int
 
     @cached_property
-    def _form(self) -> kernels.PotentialForm:
-        return kernels.divided(self.potential.kernel_form(), self.n)
+    def _form(self) -> PotentialForm:
+        return divided(self.potential.kernel_form(), self.n)
 
     def holds(self, x: Array) -> bool:
         """Return True: sheep may be anywhere."""
@@ -100,8 +101,8 @@ def prepare(
     exact = np.zeros((2, kernels.lanes(len(sample))))
     places = np.zeros_like(exact)
     places[:, : len(sample)] = here[:, sample]
-    form = kernels.divided(potential.kernel_form(), n)
-    kernels.subtract_pulls(*exact, *places, np.ascontiguousarray(here), form)
+    form = divided(potential.kernel_form(), n)
+    kernels.subtract_gradients(*exact, *places, np.ascontiguousarray(here), form)
     exact = exact[:, : len(sample)]
     ratio, last = max(4.0, 4.5 - (math.log10(accuracy) + 3.5) / 0.55), math.inf
     while True:

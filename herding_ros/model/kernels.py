@@ -12,14 +12,18 @@ Symbols are those of the paper: alpha friction, mu and lam the adjoints of v and
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numba import types
-from numba.extending import overload
 import numpy as np
 
-from .jit import exact, INLINED, inlined, kernel, OPTIONS
+from .external_force import (
+    add_external_forces,
+    add_external_products,
+    add_external_products_of_sweeps,
+    ExternalForm,
+)
+from .jit import inlined, kernel
+from .potentials.forms import hessian, PotentialForm, slope_over_r
 from .state import Array
 
 LANES = 8
@@ -32,51 +36,6 @@ Loops over them have a fixed length that the compiler sees. With 8 it would unro
 it vectorises.
 """
 
-MorseCoefficients = tuple[float, float, float, float]
-"""(C_r / l_r, 1 / l_r, C_a / l_a, 1 / l_a) of a Morse potential."""
-
-
-class Table(NamedTuple):
-    """P'/r of any potential P by cubic pieces in r**2, see `table`.
-
-    On piece i it is c0[i] + c1[i] t + c2[i] t**2 + c3[i] t**3, t the way in r**2 from the
-    beginning of the piece. low and high are the ends of all pieces [m^2].
-    """
-
-    low: float
-    high: float
-    c0: Array
-    c1: Array
-    c2: Array
-    c3: Array
-
-
-PotentialForm = MorseCoefficients | Table
-"""A potential as the kernels know it: each kernel is compiled for either."""
-
-
-class Physics(NamedTuple):
-    """What a step needs besides the state: numbers that stay the same along a rollout.
-
-    The potential of the sheep is divided by n, their number.
-    """
-
-    n: int
-    dt: float
-    sheep: PotentialForm
-    dog: PotentialForm
-    alpha: float
-
-
-_LOG2_E = 1.0 / math.log(2.0)
-# log(2) in two parts (as in fdlibm): n * _LN2_HIGH is exact for |n| < 2^20.
-_LN2_HIGH = 6.93147180369123816490e-01
-_LN2_LOW = 1.90821492927058770002e-10
-_UNDERFLOW = -700.0
-# Doubles from 2^52 to 2^53 are whole numbers: adding this rounds to the nearest integer and
-# leaves it in the lowest bits of the sum, negative ones as two's complement.
-_ROUNDING = 1.5 * 2.0**52
-
 
 @inlined
 def lanes(n: int) -> int:
@@ -84,167 +43,23 @@ def lanes(n: int) -> int:
     return -(-n // LANES) * LANES
 
 
-@exact
-def exp_neg(x: float) -> float:
-    """e**x for x <= 0 in straight-line code, which the compiler vectorises.
+class Physics(NamedTuple):
+    """What a step needs besides the state: numbers that stay the same along a rollout.
 
-    Relative error below 4e-16 for -700 <= x <= 0; e**-700 for anything smaller. Writes
-    x = n log 2 + f with |f| <= log(2)/2, sums the Taylor series of e**f to degree 12
-    (remainder f**13/13! < 2e-16) and adds n to the exponent bits.
+    The potential of the sheep is divided by n, their number. external is the form of an
+    `ExternalForce`, (): none.
     """
-    x = max(x, _UNDERFLOW)
-    rounded = x * _LOG2_E + _ROUNDING
-    n = rounded - _ROUNDING
-    f = (x - n * _LN2_HIGH) - n * _LN2_LOW
-    f2 = f * f
-    even = 1.0 / 479001600.0
-    even = even * f2 + 1.0 / 3628800.0
-    even = even * f2 + 1.0 / 40320.0
-    even = even * f2 + 1.0 / 720.0
-    even = even * f2 + 1.0 / 24.0
-    even = even * f2 + 0.5
-    odd = 1.0 / 39916800.0
-    odd = odd * f2 + 1.0 / 362880.0
-    odd = odd * f2 + 1.0 / 5040.0
-    odd = odd * f2 + 1.0 / 120.0
-    odd = odd * f2 + 1.0 / 6.0
-    p = 1.0 + (f + f2 * (even + f * odd))
-    exponent = np.float64(rounded).view(np.int64) << 52
-    return np.int64(np.float64(p).view(np.int64) + exponent).view(np.float64)
 
-
-# A piece of a table is as long as a double's leading bits last: its number and its beginning
-# are read off the bits of r**2 (bit-mapped tables; Wolff and Rudd 1999).
-_PIECE_BITS = 7
-_SHIFT = 52 - _PIECE_BITS
-_BEGINNING = np.int64(-1) << _SHIFT
-
-
-def table_nodes(low: float, high: float) -> Array:
-    """Return ends of pieces that cover r**2 from low > 0 to high [m^2], in increasing order."""
-    first, last = (int(np.float64(end).view(np.int64)) >> _SHIFT for end in (low, high))
-    return (np.arange(first, last + 2) << _SHIFT).view(np.float64)
-
-
-def table(nodes: Array, a: Array, slope: Array) -> Table:
-    """Return the table with values a = P'/r and slopes da/d(r**2) at the `table_nodes`."""
-    length = np.diff(nodes)
-    mean = np.diff(a) / length
-    return Table(
-        float(nodes[0]),
-        float(np.nextafter(nodes[-1], 0.0)),
-        a[:-1].copy(),
-        slope[:-1].copy(),
-        (3.0 * mean - 2.0 * slope[:-1] - slope[1:]) / length,
-        (slope[:-1] + slope[1:] - 2.0 * mean) / length**2,
-    )
-
-
-def divided(p: PotentialForm, n: int) -> PotentialForm:
-    """Return the potential divided by n."""
-    if isinstance(p, Table):
-        return p._replace(c0=p.c0 / n, c1=p.c1 / n, c2=p.c2 / n, c3=p.c3 / n)
-    return (p[0] / n, p[1], p[2] / n, p[3])
-
-
-@exact
-def _piece(r2: float, p: Table) -> tuple[Any, float]:
-    """Return the number of the piece that holds r2, and the way from its beginning."""
-    z = min(max(r2, p.low), p.high)
-    bits = np.float64(z).view(np.int64)
-    first = np.float64(p.low).view(np.int64) >> _SHIFT
-    way = z - np.int64(bits & _BEGINNING).view(np.float64)
-    return np.uint64((bits >> _SHIFT) - first), way
+    n: int
+    dt: float
+    sheep: PotentialForm
+    dog: PotentialForm
+    alpha: float
+    external: ExternalForm = ()
 
 
 @inlined
-def _morse_slope_over_r(r2: float, p: MorseCoefficients) -> float:
-    r = math.sqrt(r2)
-    slope = p[2] * exp_neg(-p[3] * r) - p[0] * exp_neg(-p[1] * r)
-    return slope / r if r2 > 0.0 else 0.0
-
-
-@inlined
-def _table_slope_over_r(r2: float, p: Table) -> float:
-    i, t = _piece(r2, p)
-    return p.c0[i] + t * (p.c1[i] + t * (p.c2[i] + t * p.c3[i]))
-
-
-@inlined
-def _morse_hessian(r2: float, p: MorseCoefficients) -> tuple[float, float]:
-    r = math.sqrt(r2)
-    attraction = p[2] * exp_neg(-p[3] * r)
-    repulsion = p[0] * exp_neg(-p[1] * r)
-    per_r2 = 1.0 / r2 if r2 > 0.0 else 0.0  # the only division: 1 / r = r / r2
-    a = (attraction - repulsion) * r * per_r2
-    b = (p[1] * repulsion - p[3] * attraction - a) * per_r2
-    return a, b
-
-
-@inlined
-def _table_hessian(r2: float, p: Table) -> tuple[float, float]:
-    i, t = _piece(r2, p)
-    a = p.c0[i] + t * (p.c1[i] + t * (p.c2[i] + t * p.c3[i]))
-    b = 2.0 * (p.c1[i] + t * (2.0 * p.c2[i] + 3.0 * t * p.c3[i]))
-    return a, b
-
-
-def _by_form(morse: Any, table: Any) -> Any:
-    """Return a function of r2 and a potential that is compiled for the potential's form."""
-
-    def function(r2: float, p: PotentialForm) -> Any:
-        raise NotImplementedError('to be called from compiled code')
-
-    options: Any = {**OPTIONS, **INLINED}
-
-    @overload(function, jit_options=options)
-    def _choose(r2, p):  # type: ignore[no-untyped-def]  # Numba compares annotations
-        if isinstance(p, types.UniTuple):
-            return lambda r2, p: morse(r2, p)
-        return lambda r2, p: table(r2, p)
-
-    return function
-
-
-_slope_over_r = _by_form(_morse_slope_over_r, _table_slope_over_r)
-_hessian = _by_form(_morse_hessian, _table_hessian)
-
-
-@inlined
-def slope_over_r(r2: float, p: PotentialForm) -> float:
-    """P'(r) / r at r**2 = r2, of a Morse potential zero at r = 0.
-
-    The gradient of P(|s|) is this times s.
-    """
-    return _slope_over_r(r2, p)
-
-
-@inlined
-def hessian(r2: float, p: PotentialForm) -> tuple[float, float]:
-    """(a, b) with a w + b (s.w) s = Hessian of P(|s|) times w, of Morse zero at s = 0.
-
-    a = P'/r and b = (P'' - P'/r) / r**2, for r**2 = r2 = |s|**2. What a table gives is the
-    exact derivative of its `slope_over_r`.
-    """
-    return _hessian(r2, p)
-
-
-@kernel
-def _pair_terms(r2: Array, p: PotentialForm, a: Array, b: Array) -> None:
-    for i in range(r2.shape[0]):
-        a[i], b[i] = hessian(r2[i], p)
-
-
-def pair_terms(r2: Array, p: PotentialForm) -> tuple[Array, Array]:
-    """Return a and b of `hessian` for an array of r2 [m^2] of any shape."""
-    flat = np.ravel(r2).astype(np.float64)
-    a, b = np.empty_like(flat), np.empty_like(flat)
-    _pair_terms(flat, p, a, b)
-    return a.reshape(np.shape(r2)), b.reshape(np.shape(r2))
-
-
-@inlined
-def _exchange_pulls(
+def _exchange_forces(
     ax: Array,
     ay: Array,
     bx: Array,
@@ -269,7 +84,7 @@ def _exchange_pulls(
 
 
 @kernel
-def _pull_round(
+def _forces_round(
     ax: Array,
     ay: Array,
     bx: Array,
@@ -281,22 +96,22 @@ def _pull_round(
     n: int,
     p: PotentialForm,
 ) -> None:
-    """Exchange pulls with the next in the ring, the second next, ... up to half-way round.
+    """Exchange forces with the next in the ring, the second next, ... up to half-way round.
 
     xs, ys are the positions twice one after the other, bx, by take the reactions. Rows come as
     arguments, since every slice in a caller costs two atomic reference counts.
     """
     for s in range(1, n // 2 + 1):
-        count = n if 2 * s < n else s  # half-way round, one pull of two
+        count = n if 2 * s < n else s  # half-way round, one force of two
         m = lanes(count)
-        _exchange_pulls(
+        _exchange_forces(
             ax[:m], ay[:m], bx[s : s + m], by[s : s + m],
             x[:m], y[:m], xs[s : s + m], ys[s : s + m], count, p,
         )  # fmt: skip
 
 
 @inlined
-def _subtract_pull_of_dog(
+def _subtract_gradients_of_one(
     ax: Array, ay: Array, x: Array, y: Array, dx: float, dy: float, p: PotentialForm
 ) -> None:
     """Subtract from each sheep's acceleration the gradient of P(|x_i - d|)."""
@@ -309,10 +124,19 @@ def _subtract_pull_of_dog(
 
 
 @kernel
-def subtract_pulls(ax: Array, ay: Array, x: Array, y: Array, d: Array, p: PotentialForm) -> None:
+def subtract_gradients(
+    ax: Array, ay: Array, x: Array, y: Array, d: Array, p: PotentialForm
+) -> None:
     """Subtract from each sheep's acceleration the gradients of P(|x_i - d_m|), d[2, M]."""
     for m in range(d.shape[1]):
-        _subtract_pull_of_dog(ax, ay, x, y, d[0, m], d[1, m], p)
+        _subtract_gradients_of_one(ax, ay, x, y, d[0, m], d[1, m], p)
+
+
+@kernel
+def add_outer_forces(ax: Array, ay: Array, x: Array, y: Array, d: Array, physics: Physics) -> None:
+    """Add to each sheep's acceleration the forces of the dogs d[2, M] and of the world."""
+    subtract_gradients(ax, ay, x, y, d, physics.dog)
+    add_external_forces(ax, ay, x, y, physics.external)
 
 
 @kernel
@@ -344,25 +168,24 @@ def _fold(b: Array, n: int, out: Array) -> None:
 def acceleration(x: Array, d: Array, physics: Physics, ring: Array, out: Array) -> None:
     """Put the interaction forces on the sheep (paper, state system, no friction) in out.
 
-    Action and reaction are opposite, so each pair needs a single look: think of the sheep in a
-    ring, and let everyone pull at the next, the second next, ... up to half-way round.
-    ring[2, 2, 2 lanes] is scratch.
+    Action and reaction are opposite, so each pair is evaluated once: each sheep of a ring acts on
+    the next, the second next, ... up to half-way round. ring[2, 2, 2 lanes] is scratch.
     """
     n = physics.n
     _fill(out, 0, 0.0)
     twice, reaction = ring[0], ring[1]
     _repeat(x, n, twice)
     _fill(reaction, 0, 0.0)
-    _pull_round(
+    _forces_round(
         out[0], out[1], reaction[0], reaction[1], x[0], x[1], twice[0], twice[1], n, physics.sheep
     )
     _fold(reaction, n, out)
-    subtract_pulls(out[0], out[1], x[0], x[1], d, physics.dog)
+    add_outer_forces(out[0], out[1], x[0], x[1], d, physics)
     _fill(out, n, 0.0)
 
 
 @inlined
-def _subtract_pull_of_pair(
+def _subtract_gradients_of_pair(
     ax: Array, ay: Array, x: Array, y: Array, i: int, j: int, p: PotentialForm
 ) -> None:
     """Subtract the gradient of P(|x_i - x_j|) from both accelerations, in PATHS paths."""
@@ -377,10 +200,12 @@ def _subtract_pull_of_pair(
 
 
 @kernel
-def _subtract_pulls_in_paths(ax: Array, ay: Array, x: Array, y: Array, p: PotentialForm) -> None:
+def _subtract_gradients_in_paths(
+    ax: Array, ay: Array, x: Array, y: Array, p: PotentialForm
+) -> None:
     for i in range(0, x.shape[0], PATHS):
         for j in range(0, i, PATHS):
-            _subtract_pull_of_pair(ax, ay, x, y, i, j, p)
+            _subtract_gradients_of_pair(ax, ay, x, y, i, j, p)
 
 
 @kernel
@@ -388,7 +213,7 @@ def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> N
     """Do what `acceleration` does for PATHS paths at once: x, out[2, sheep * PATHS].
 
     The paths of a sheep lie side by side, so that a vector unit takes the same pair in many
-    paths. Then each pair needs a single look: action and reaction are opposite. With more than
+    paths. Then each pair is evaluated once: action and reaction are opposite. With more than
     physics.n sheep, each group of n, one after the other, is a flock of its own.
     """
     out[:] = 0.0
@@ -396,11 +221,11 @@ def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> N
     if physics.n > 1:
         for first in range(0, x.shape[1], group):
             # Seen from the start of the group no index is negative.
-            _subtract_pulls_in_paths(
+            _subtract_gradients_in_paths(
                 out[0, first : first + group], out[1, first : first + group],
                 x[0, first : first + group], x[1, first : first + group], physics.sheep,
             )  # fmt: skip
-    subtract_pulls(out[0], out[1], x[0], x[1], d, physics.dog)
+    add_outer_forces(out[0], out[1], x[0], x[1], d, physics)
 
 
 @inlined
@@ -430,42 +255,6 @@ def rollout(x: Array, v: Array, d: Array, noise: Array, physics: Physics) -> Non
     for k in range(noise.shape[0]):
         acceleration(x[k], d[k], physics, ring, a)
         step(x[k], v[k], a, noise[k], physics, x[k + 1], v[k + 1])
-
-
-@kernel
-def _dot(x: Array, y: Array) -> float:
-    total = 0.0
-    for i in range(x.shape[0]):
-        total += x[i] * y[i]
-    return total
-
-
-@kernel
-def add_paths(
-    total: Array, x: Array, v: Array, d: Array, noise: Array, paths: int, physics: Physics
-) -> None:
-    """Add the positions in the first `paths` of PATHS paths to total[K+1, 2, n].
-
-    noise[K, 2, n * PATHS], a sheep's paths side by side. All paths start from x[2, lanes], v,
-    and share the path of the dogs d[K+1, 2, M]. No trajectory is stored.
-    """
-    n, steps = physics.n, noise.shape[0]
-    a = np.empty((2, n * PATHS))
-    xs = np.empty((2, n * PATHS))
-    vs = np.empty((2, n * PATHS))
-    for c in range(2):
-        for i in range(n):
-            xs[c, i * PATHS : (i + 1) * PATHS] = x[c, i]
-            vs[c, i * PATHS : (i + 1) * PATHS] = v[c, i]
-    used = np.zeros(PATHS)
-    used[:paths] = 1.0
-    for k in range(steps + 1):
-        for c in range(2):
-            for i in range(n):
-                total[k, c, i] += _dot(xs[c, i * PATHS : (i + 1) * PATHS], used)
-        if k < steps:
-            acceleration_in_paths(xs, d[k], physics, a)
-            step(xs, vs, a, noise[k], physics, xs, vs)
 
 
 @inlined
@@ -521,86 +310,6 @@ def free_centres(noise: Array, sheep: int, physics: Physics, out: Array) -> None
         out[k + 1] = x
 
 
-@kernel
-def _sum(x: Array) -> float:
-    total = 0.0
-    for i in range(x.shape[0]):
-        total += x[i]
-    return total
-
-
-@kernel
-def _pull_to(
-    x: Array, centre: float, error: float, centre_weight: float, spread_weight: float, out: Array
-) -> float:
-    """Put the derivative of the tracking cost of one coordinate in out; return the cost."""
-    squares = 0.0
-    for i in range(x.shape[0]):
-        offset = x[i] - centre
-        squares += offset * offset
-        out[i] = centre_weight * error + spread_weight * offset
-    return 0.5 * (x.shape[0] * centre_weight * error * error + spread_weight * squares)
-
-
-@kernel
-def tracking_cost(
-    x: Array,
-    reference: Array,
-    n: int,
-    centre_weight: float,
-    spread_weight: float,
-    weight: float,
-    source: Array,
-) -> float:
-    """Sum the tracking cost over all steps but the start.
-
-    weight sum_k a/2 |xc - Z|^2 + b/(2n) sum_i |x_i - xc|^2
-
-    for x[K+1, 2, lanes] with centres xc, Z = reference[K+1, 2], a = centre_weight,
-    b = spread_weight; put its derivative with respect to x in source[K+1, 2, lanes].
-    """
-    cost = 0.0
-    source[:] = 0.0
-    for k in range(1, x.shape[0]):
-        for c in range(2):
-            sheep = x[k, c, :n]
-            centre = _sum(sheep) / n
-            error = centre - reference[k, c]
-            cost += _pull_to(
-                sheep,
-                centre,
-                error,
-                weight / n * centre_weight,
-                weight / n * spread_weight,
-                source[k, c, :n],
-            )
-    return cost
-
-
-@kernel
-def times(matrix: Array, x: Array, out: Array) -> None:
-    """Put matrix[m, n] x[n] in out[m].
-
-    NumPy would hand this to a BLAS whose rounding depends on the number of its threads.
-    """
-    for i in range(matrix.shape[0]):
-        out[i] = _dot(matrix[i], x)
-
-
-@kernel
-def transposed_times(matrix: Array, y: Array, out: Array) -> None:
-    """Put y[m] matrix[m, n] in out[n]."""
-    out[:] = 0.0
-    for i in range(matrix.shape[0]):
-        _add_multiple(y[i], matrix[i], out)
-
-
-@kernel
-def _add_multiple(factor: float, x: Array, out: Array) -> None:
-    for i in range(x.shape[0]):
-        out[i] += factor * x[i]
-
-
 @inlined
 def _exchange_hessians(
     hx: Array,
@@ -653,7 +362,7 @@ def _hessians_round(
     n: int,
     p: PotentialForm,
 ) -> None:
-    """Go round the ring as `_pull_round` does."""
+    """Go round the ring as `_forces_round` does."""
     for s in range(1, n // 2 + 1):
         count = n if 2 * s < n else s
         m = lanes(count)
@@ -761,6 +470,7 @@ def adjoint_step(
     """One step back in time, as in `adjoint`; h holds the `hessian_products` of the sheep."""
     n = physics.n
     add_hessians_of_dogs(h[0], h[1], x[0], x[1], mu[0], mu[1], d, dogs, physics.dog)
+    add_external_products(h[0], h[1], x[0], x[1], mu[0], mu[1], physics.external)
     for c in range(2):
         _step_back(lam[c, :n], mu[c, :n], h[c, :n], source[c, :n], physics.dt, physics.alpha)
 
@@ -854,6 +564,9 @@ def centre_adjoints(x: Array, d: Array, nodes: Array, physics: Physics, dogs: Ar
             h[:] = 0.0
             _add_hessians_of_pairs(h[0], h[1], mu[0], mu[1], n, flock, dog)
             np.negative(h[:, sheep:], dogs[k])
+            add_external_products_of_sweeps(
+                h[0], h[1], x[k, 0, :n], x[k, 1, :n], mu[0], mu[1], PATHS, physics.external
+            )
             for c in range(2):
                 _step_back(
                     lam[c], mu[c, :sheep], h[c, :sheep], no_source, physics.dt, physics.alpha
@@ -862,30 +575,3 @@ def centre_adjoints(x: Array, d: Array, nodes: Array, physics: Physics, dogs: Ar
             if nodes[q] == k:
                 for c in range(2):
                     lam[c, 2 * q + c :: PATHS] += 1.0 / n
-
-
-@kernel
-def linear_centres(x: Array, d: Array, noise: Array, physics: Physics, out: Array) -> None:
-    """Put the centre's first-order answer to the noise, in PATHS paths, in out[K+1, 2, PATHS].
-
-    x[K+1, 2, lanes], d[K+1, 2, M] from rollout without noise; noise[K, 2, n * PATHS].
-    """
-    n = physics.n
-    flock = np.empty((n, 3, x.shape[2]))
-    dog = np.empty((d.shape[2], 3, x.shape[2]))
-    # Displacements of the sheep, then of the dogs, which noise does not move.
-    sheep = n * PATHS
-    dx = np.zeros((2, sheep + d.shape[2] * PATHS))
-    dv = np.zeros((2, sheep))
-    h = np.empty_like(dx)
-    out[:] = 0.0
-    for k in range(noise.shape[0]):
-        _hessians(x[k, :, :n], x[k], physics.sheep, flock)
-        _hessians(d[k], x[k], physics.dog, dog)
-        h[:] = 0.0
-        _add_hessians_of_pairs(h[0], h[1], dx[0], dx[1], n, flock, dog)
-        np.negative(h, h)
-        moved = dx[:, :sheep]
-        step(moved, dv, h[:, :sheep], noise[k], physics, moved, dv)
-        for c in range(2):
-            _add_over_sheep(dx[c, :sheep], PATHS, 1.0 / n, out[k + 1, c])

@@ -15,18 +15,17 @@ Their coefficient is one: that of a regression is near it, and would cost a bias
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import kernels
 from .crowd import Crowd
-from .dynamics import follow, physics, positions, to_lanes
-from .ensemble import paths_in_field
+from .dynamics import follow, march, physics, positions, to_lanes
 from .kernels import PATHS
 from .motion import Holonomic, MotionModel
-from .noise import increments, is_uniform, noise_paths
+from .noise import increments, is_uniform, noise_paths, random_force
 from .state import Array, HerdState
 
 Sampler = Callable[[Array], Array]
@@ -122,7 +121,7 @@ class Resolution:
             if is_uniform(fine.crowd.noise_field):
                 kernels.centres(x, v, dogs, noise, constants, out)
             else:
-                xs = paths_in_field(fine.crowd, fine.t, x, v, dogs, noise, constants)
+                xs = _paths_in_field(fine.crowd, fine.t, x, v, dogs, noise, constants)
                 for k, here in enumerate(xs):
                     out[k] = here.reshape(2, fine.sheep, -1).mean(axis=1)
             return out
@@ -138,6 +137,35 @@ class Resolution:
             return total[:, :, None] / fine.sheep
 
         return one_by_one if fine.at_once == 1 and group > 1 else side_by_side
+
+
+def _paths_in_field(
+    crowd: Crowd,
+    t: float,
+    x: Array,
+    v: Array,
+    d: Array,
+    noise: Array,
+    constants: kernels.Physics,
+) -> Iterator[Array]:
+    """Yield the positions in some paths at each step, where the noise depends on time and place.
+
+    They start at t [s] from x, v (2, N), with the dogs on the path d (K+1, 2, M); noise
+    (K, 2, N * paths) has the paths of a sheep side by side, and so have the positions
+    (2, N * paths) [m].
+    """
+    xs, vs = (np.repeat(each, noise.shape[2] // x.shape[1], axis=1) for each in (x, v))
+    a = np.empty_like(xs)
+
+    def acceleration(k: int, here: Array) -> Array:
+        kernels.acceleration_in_paths(here, d[k], constants, a)
+        return a
+
+    def noise_at(k: int, here: Array) -> Array:
+        return random_force(crowd, t + k * constants.dt, here, noise[k])
+
+    for here, _ in march(xs, vs, len(noise), constants, acceleration, noise_at):
+        yield here
 
 
 def alone(fine: FineModel) -> Resolution:
@@ -173,25 +201,8 @@ def free(fine: FineModel, u: Array) -> Sampler:
     return sample
 
 
-def linear(fine: FineModel, u: Array) -> Sampler:
-    """Return the centre's first-order answer to noise: the path without noise, linearised."""
-    if fine.at_once != PATHS:
-        raise ValueError(f'linear paths of {fine.sheep} sheep, allowed are at most {_LARGE}')
-    path = follow(fine.crowd, fine.state, fine.dogs(u), fine.dt)
-
-    def sample(noise: Array) -> Array:
-        longer = fine.longer(noise)
-        constants = physics(fine.crowd, fine.sheep, longer * fine.dt)
-        xs, ds = np.ascontiguousarray(path.xs[::longer]), positions(path.ds[::longer])
-        out = np.empty((len(noise) + 1, 2, PATHS))
-        kernels.linear_centres(xs, ds, noise, constants, out)
-        return out
-
-    return sample
-
-
 @dataclass(frozen=True)
-class Estimator:
+class MonteCarloEstimator:
     """A chain of models, the fine one last, less a control variate; maybe in antithetic pairs.
 
     antithetic: a path is the mean of two with opposite noise. Steps get shorter along the
@@ -254,7 +265,9 @@ def interpolate(values: Array, times: int) -> Array:
 
 
 ESTIMATORS = {
-    'multilevel': Estimator(lambda fine: (alone(fine), Resolution()), free, antithetic=True),
-    'plain': Estimator(),
+    'multilevel': MonteCarloEstimator(
+        lambda fine: (alone(fine), Resolution()), free, antithetic=True
+    ),
+    'plain': MonteCarloEstimator(),
 }
 """What a controller can be told: the cheapest under much noise, and common Monte Carlo."""

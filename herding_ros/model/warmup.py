@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compile the kernels, or load them from Numba's cache: `python -m herding_ros.model.warmup`."""
 
 from __future__ import annotations
@@ -9,13 +10,14 @@ import numpy as np
 
 from . import kernels
 from .crowd import Crowd
-from .dynamics import physics, rollout, to_lanes
-from .ensemble import expected_positions
-from .noise import noise_paths
+from .dynamics import physics, reverse_sweep, rollout, to_lanes
+from .linear_algebra import times, transposed_times
+from .motion import Holonomic
 from .particle_mesh import ParticleMesh
 from .potentials import Mollified, Morse
-from .sampling import FineModel, free, linear, Resolution
+from .sampling import FineModel, free, Resolution
 from .state import HerdState
+from .tracking_cost import tracking_cost
 
 _STATE = HerdState(np.eye(2), np.zeros((2, 2)), np.ones((1, 2)))
 _CONTROL = np.zeros((1, 1, 2))
@@ -38,27 +40,24 @@ def warm_up(crowd: Crowd | None = None) -> float:
     for sampler in (Resolution().sampler(fine, u), free(fine, u)):
         sampler(paths)
     source = np.zeros_like(trajectory.xs)
-    kernels.times(source[0], source[0, 0], source[0, :, 0].copy())
-    kernels.transposed_times(source[0], np.zeros(2), source[0, 0].copy())
-    kernels.tracking_cost(trajectory.xs, np.zeros((2, 2)), 2, 1.0, 1.0, 1.0, source)
+    times(source[0], source[0, 0], source[0, :, 0].copy())
+    transposed_times(source[0], np.zeros(2), source[0, 0].copy())
+    tracking_cost(trajectory.xs, np.zeros((2, 2)), 2, 1.0, 1.0, 1.0, source)
+    constants, d = physics(crowd, 2, 0.01), trajectory.ds
     nodes = np.ones(kernels.PATHS // 2, dtype=np.int_)
-    rows = np.zeros((1, 2, kernels.PATHS))
-    kernels.centre_adjoints(trajectory.xs, trajectory.ds, nodes, 1, physics(crowd, 2, 0.01), rows)
-    kernels.adjoint(trajectory.xs, trajectory.ds, source, 1, physics(crowd, 2, 0.01), u.copy())
+    kernels.centre_adjoints(trajectory.xs, d, nodes, constants, np.empty((2, 2, kernels.PATHS)))
+    Holonomic().transpose(d, u, reverse_sweep(crowd, trajectory, source), 0.01, 1)
     return time.perf_counter() - started
 
 
 def warm_up_others() -> float:
     """Call what only large flocks and studies call, on a tiny herd; return the seconds it took."""
     started = time.perf_counter()
-    crowd, state, u = Crowd(), _STATE, _CONTROL
+    crowd, state = Crowd(), _STATE
     x = to_lanes(state.x)
     mesh = ParticleMesh(crowd.sheep, 2, np.array([-1.0, -1.0]), np.array([3.0, 3.0]), 0.4, 0.1)
     mesh.gradients(x)
     mesh.hessian_products(x, x)
-    noise = noise_paths(np.random.default_rng(0), crowd, 2, 0.01, 1, 1)
-    expected_positions(crowd, state, u, 0.01, 1, noise)
-    linear(FineModel(crowd, state, 0.01, 1), u)(noise.blocks[0])
     return time.perf_counter() - started
 
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures and numbers from a recorded run. No rclpy here."""
+"""Figures, tables and statistics; the report on a recorded run. No rclpy here."""

@@ -22,7 +22,7 @@ from .task import Task
 
 _DONE, _FAILED, _BAD_ARGUMENTS, _INTERRUPTED = 0, 1, 2, 130
 _LINE_EVERY = 10.0
-"""Time between two lines where there is no terminal to draw a bar on [s]."""
+"""Time between two lines of progress without a terminal [s]."""
 
 
 def _positive(text: str) -> int:
@@ -31,7 +31,7 @@ def _positive(text: str) -> int:
     except ValueError:
         value = 0
     if value < 1:
-        raise argparse.ArgumentTypeError(f'{text} is given, allowed is an integer of at least 1')
+        raise argparse.ArgumentTypeError(f'must be an integer of at least 1, got {text}')
     return value
 
 
@@ -43,16 +43,16 @@ def _parser() -> argparse.ArgumentParser:
         description=(
             "Regenerate the paper's tables and figures, and what goes beyond them.\n\n"
             f'studies:\n{names}\n  {"all":15}all of these, and the pages about them\n\n'
-            'A study is a list of tasks. Each result is kept in a file as soon as it is there,\n'
-            'so that an interrupted study goes on where it was, and nothing is computed twice:\n'
-            'with all results there, a study only draws. Results of other versions of the code\n'
-            'that computes are never used.'
+            'A study is a list of tasks. Each result is stored as soon as it is computed, so\n'
+            'that an interrupted study resumes where it stopped, and nothing is computed twice:\n'
+            'with all results stored, a study only draws. Results of other versions of the\n'
+            'computing code are never used.'
         ),
         epilog=(
             'examples:\n'
             '  study symmetry                         a minute; writes studies/symmetry.md\n'
             '  study dogs --seeds 5                   a quarter of it\n'
-            '  study all --quick --out /tmp/try       does everything work?\n'
+            '  study all --quick --out /tmp/try       test that everything works\n'
             '  study all --results studies/results --out doc\n'
             '  study all --scheduler tcp://host:8786  on a Dask cluster\n\n'
             'exit code: 0 done, 1 a task failed, 2 bad arguments, 130 interrupted by Ctrl-C'
@@ -60,12 +60,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add('name', nargs='?', choices=[*STUDIES, 'all'], metavar='NAME', help='the study, or all')
-    add('--list', action='store_true', help='list the studies with their sizes, and end')
-    add('--seeds', type=_positive, metavar='N', help='take the seeds 0 to N - 1')
+    add('--list', action='store_true', help='list the studies with their sizes and exit')
+    add('--seeds', type=_positive, metavar='N', help='use the seeds 0 to N - 1')
     add('--paths', type=_positive, metavar='N', help='Monte Carlo paths of a plan (100)')
     add(
         '--jobs', type=_positive, metavar='N', default=len(os.sched_getaffinity(0)),
-        help='processes that compute (one for each core)',
+        help='number of worker processes (one per core)',
     )  # fmt: skip
     add(
         '--scheduler', metavar='ADDRESS',
@@ -76,8 +76,8 @@ def _parser() -> argparse.ArgumentParser:
         help='folder for pages and figures (studies)',
     )  # fmt: skip
     add('--results', type=Path, metavar='DIR', help='folder of the results (DIR of --out/results)')
-    add('--quick', action='store_true', help='tiny sizes: does it work?')
-    add('--draw', action='store_true', help='compute nothing, draw what is there')
+    add('--quick', action='store_true', help='tiny sizes, to test that everything works')
+    add('--draw', action='store_true', help='compute nothing, draw the stored results')
     return parser
 
 
@@ -91,11 +91,11 @@ def main(args: list[str] | None = None) -> int:
         _list(options, console)
         return _DONE
     if given.name is None:
-        parser.error(f'NAME is missing, allowed is {", ".join([*STUDIES, "all"])}')
+        parser.error(f'NAME must be one of {", ".join([*STUDIES, "all"])}')
     names = list(STUDIES) if given.name == 'all' else [given.name]
     store = Store(given.results or given.out / 'results')
     wanted = {name: STUDIES[name].tasks(options) for name in names}
-    # Both end as Ctrl-C does, which a shell ignores for what it starts in the background.
+    # Both act as Ctrl-C, which a shell ignores in processes that it starts in the background.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     try:
@@ -106,15 +106,15 @@ def main(args: list[str] | None = None) -> int:
             todo = [task for task in every.values() if store.load(task) is None]
             done = len(every) - len(todo)
             console.print(
-                f'{len(every)} tasks, {done} of them done already, about '
-                f'{_duration(sum(task.cost for task in todo))} of one core to go; '
+                f'{len(every)} tasks, {done} of them already done, about '
+                f'{_duration(sum(task.cost for task in todo))} of one core left; '
                 f'results in {store.folder}'
             )
             if todo:
                 failed = _compute(todo, store, console, given.jobs, given.scheduler)
         _write(given.name, wanted, store, given.out, console)
     except KeyboardInterrupt:
-        console.print('interrupted; what was done is kept, and the same command goes on from it')
+        console.print('interrupted; all results so far are stored, and the same command resumes')
         return _INTERRUPTED
     except (OSError, RuntimeError) as error:
         print(f'study: {error}', file=sys.stderr)
@@ -132,8 +132,8 @@ def _list(options: Options, console: Console) -> None:
 def _compute(
     todo: Sequence[Task], store: Store, console: Console, jobs: int, scheduler: str | None
 ) -> int:
-    """Compute tasks and keep their results; return how many failed."""
-    # The longest first, so that at the end no core waits for a long one.
+    """Compute tasks and store their results; return the number of failures."""
+    # The longest first, so that at the end no core waits for a long task.
     todo = sorted(todo, key=lambda task: -task.cost)
     all_cost, cost, failures = sum(task.cost for task in todo), 0.0, 0
     begun = shown = time.monotonic()
@@ -158,13 +158,13 @@ def _compute(
 
 
 def _keep(outcome: Outcome, store: Store, console: Console) -> bool:
-    """Keep a result, or say what went wrong; return whether there is one."""
+    """Store a result, or print the error; return whether there is a result."""
     task, error = outcome.task, outcome.error
     if outcome.result is not None:
         try:
             store.keep(task, outcome.result, outcome.seconds)
         except ValueError as refusal:
-            error = f'its result cannot be kept: {refusal}'
+            error = f'the result cannot be stored: {refusal}'
     if error:
         console.print(f'failed: {task.kind} {task.parameters}', style='red', markup=False)
         console.print(error, markup=False)
@@ -174,7 +174,7 @@ def _keep(outcome: Outcome, store: Store, console: Console) -> bool:
 def _write(
     name: str, wanted: dict[str, list[Task]], store: Store, out: Path, console: Console
 ) -> None:
-    """Draw what the stored results hold, and write the page; of all studies, every page."""
+    """Draw the stored results, and write the page of a study, or all pages."""
     sections, missing = {}, 0
     for each, tasks in wanted.items():
         loaded = [(task, store.load(task)) for task in tasks]
@@ -182,7 +182,7 @@ def _write(
         missing += len(loaded) - len(found)
         sections[each] = STUDIES[each].draw(Results(found), out / 'figures')
     if missing:
-        console.print(f'{missing} results are missing from what is drawn', style='red')
+        console.print(f'{missing} results are missing from the pages', style='red')
     if name == 'all':
         pages = {each: single(each, sections[each]) for each in FURTHER}
         pages['reproduction'] = page(sections)
@@ -195,7 +195,7 @@ def _write(
 
 
 def _duration(seconds: float) -> str:
-    """Say a time in the unit that fits."""
+    """Return a time in a suitable unit."""
     if seconds < 90.0:
         return f'{seconds:.0f} s'
     return f'{seconds / 60.0:.0f} min' if seconds < 5400.0 else f'{seconds / 3600.0:.1f} h'

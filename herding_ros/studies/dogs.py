@@ -15,12 +15,12 @@ from herding_ros.report.style import COLOURS, legend, new, save
 
 from .pictures import draw_runs
 from .runs import (
+    arrival_row,
     failures,
     LIMIT,
     median_time,
     NAMES,
     number,
-    outcome,
     point,
     run_task,
     SETTINGS,
@@ -118,10 +118,8 @@ def _rows(runs: _Runs) -> list[Row]:
     rows = []
     for dogs, paper in _PAPER_TIMES.items():
         ours, theirs = (runs[name, dogs, _NEAR] for name in NAMES)
-        if len(ours):
-            what = f'Figure "trajectories", {number(dogs, "dog")}: time of arrival'
-            remark = f"{success(ours)} safe; the paper's setting: {outcome(theirs)}"
-            rows.append(Row(what, f'{paper:g} s', f'{median_time(ours)} s', remark))
+        what = f'Figure "trajectories", {number(dogs, "dog")}'
+        rows += arrival_row(what, f'{paper:g} s', ours, {NAMES['paper']: theirs})
     return rows
 
 

@@ -12,12 +12,12 @@ from herding_ros.report.markdown import table
 from herding_ros.report.style import BLUE, COLOURS, GREY, legend, new, RED, save
 
 from .pictures import draw_runs, draw_times
-from .runs import failures, LIMIT, median_time, number, outcome, run_task, success, summary
+from .runs import arrival_row, failures, LIMIT, number, run_task, summary
 from .study import Options, Results, Row, Section
 from .task import Task
 
 TITLE = 'Evacuation: guides in place of dogs'
-DESCRIPTION = 'a crowd led by 1 to 5 guides, against dogs and against nobody'
+DESCRIPTION = 'a crowd led by 1 to 5 guides, compared with dogs and with no leader'
 
 _AGENTS = (1, 2, 3, 4, 5)
 _LEADERS: dict[str, dict[str, Any]] = {
@@ -77,7 +77,7 @@ def _table(runs: _Runs, alone: Results) -> str:
     ]
     if len(alone):
         columns = summary(alone)
-        unknown = dict.fromkeys(list(columns)[-2:], '–')  # way and energy of a dog
+        unknown = dict.fromkeys(list(columns)[-2:], '–')  # path and energy of a dog
         rows.append({'number': 0, 'led by': 'nobody', **columns, **unknown})
     return table(rows)
 
@@ -100,11 +100,6 @@ def _rows(runs: _Runs) -> list[Row]:
     rows = []
     for agents in _AGENTS:
         dogs, guides, fast = (runs[name, agents] for name in _LEADERS)
-        if len(guides):
-            what = f'{number(agents, "guide")}: time of arrival'
-            remark = (
-                f'{success(guides)} safe; faster reference: {outcome(fast)}; '
-                f'as many dogs: {outcome(dogs)}'
-            )
-            rows.append(Row(what, 'a remark', f'{median_time(guides)} s', remark))
+        others = {'faster reference': fast, 'as many dogs': dogs}
+        rows += arrival_row(number(agents, 'guide'), 'a remark', guides, others)
     return rows

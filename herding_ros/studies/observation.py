@@ -15,7 +15,7 @@ from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, legend, new, RED, save
 
 from .pictures import draw_times
-from .runs import failures, LIMIT, median_time, outcome, run_task, safe, success, summary
+from .runs import arrival_row, failures, LIMIT, median_time, run_task, safe, success, summary
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
@@ -194,17 +194,12 @@ def _draw_times(runs: _Runs, figures: Path) -> None:
 
 
 def _rows(runs: _Runs) -> list[Row]:
-    return [
-        Row(
-            f'Observation noise {noise:g} m and m/s, {dogs} dogs: time of arrival',
-            NOT_IN_PAPER,
-            f'{median_time(filtered)} s',
-            f'{success(filtered)} safe; as observed: {outcome(runs[dogs, noise, 0.0])}; '
-            f'without noise: {outcome(runs[dogs, 0.0, 0.0])}',
-        )
-        for dogs, noise in product(_DOGS, _NOISES[1:])
-        if len(filtered := runs[dogs, noise, noise])
-    ]
+    rows = []
+    for dogs, noise in product(_DOGS, _NOISES[1:]):
+        what = f'Observation noise {noise:g} m and m/s, {dogs} dogs'
+        others = {'as observed': runs[dogs, noise, 0.0], 'without noise': runs[dogs, 0.0, 0.0]}
+        rows += arrival_row(what, NOT_IN_PAPER, runs[dogs, noise, noise], others)
+    return rows
 
 
 def _goals(runs: _Runs) -> list[Goal]:

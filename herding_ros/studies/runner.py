@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Computes tasks: in this process, in several on this machine, or on a Dask cluster."""
+"""Computes tasks in this process, in several on this machine, or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .task import Task
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task: a result or, if that is None, an error."""
+    """The outcome of a task: a result or, if that is None, an error."""
 
     task: Task
     result: Result | None
@@ -28,9 +28,9 @@ class Outcome:
 
 
 def work(task: Task, key: str) -> Outcome:
-    """Compute a task; what goes wrong in it is part of the outcome. Runs in the workers.
+    """Compute a task; its error, if any, is part of the outcome. Runs in the workers.
 
-    key is the task's as the caller has it: a machine of a cluster with other code has another.
+    key: the task's key in the calling process, which differs if a worker has other code.
     """
     started = time.perf_counter()
     result, error = None, ''
@@ -44,9 +44,9 @@ def work(task: Task, key: str) -> Outcome:
 
 
 def compute(tasks: Sequence[Task], jobs: int, scheduler: str | None) -> Iterator[Outcome]:
-    """Yield the outcome of each task as soon as it is there, in any order.
+    """Yield the outcome of each task as soon as it is known, in any order.
 
-    With the address of a Dask scheduler its workers compute, else `jobs` processes.
+    The workers of a Dask scheduler compute if its address is given, else `jobs` processes.
     """
     if scheduler is not None:
         return _on_cluster(tasks, scheduler)
@@ -67,7 +67,7 @@ def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
             yield future.result()
         pool.shutdown()
     except BaseException:
-        # Ctrl-C, or nobody wants more. A task may take minutes: its worker is not waited for.
+        # Ctrl-C, or the caller stops. A task may take minutes: do not wait for its worker.
         pool.shutdown(wait=False, cancel_futures=True)
         for child in set(multiprocessing.active_children()) - others:
             child.terminate()

@@ -14,7 +14,7 @@ from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Fraction, Mean, Median, significant
 
 from .experiments.settings import differences
-from .study import Options, Results
+from .study import Options, Results, Row
 from .task import Task
 
 PLAIN: dict[str, Any] = {'mapping': {'estimator': 'plain', 'standard_error': 0.0}}
@@ -93,9 +93,13 @@ def median_time(runs: Results) -> Median:
     return Median.of(times(runs))
 
 
-def outcome(runs: Results) -> str:
-    """Return median time and success for a remark."""
-    return f'{median_time(runs)} s, {success(runs)}'
+def arrival_row(what: str, paper: str, runs: Results, others: Mapping[str, Results]) -> list[Row]:
+    """Return the row about the time of arrival of runs, if any, with others in its remark."""
+    if not len(runs):
+        return []
+    remarks = [f'{success(runs)} safe']
+    remarks += [f'{name}: {median_time(each)} s, {success(each)}' for name, each in others.items()]
+    return [Row(f'{what}: time of arrival', paper, f'{median_time(runs)} s', '; '.join(remarks))]
 
 
 def summary(runs: Results) -> dict[str, object]:
@@ -109,7 +113,7 @@ def summary(runs: Results) -> dict[str, object]:
         ),
         'largest spread, mean [m]': runs.mean('max_spread'),
         'largest of all [m]': float(max(runs.values('max_spread'), default=math.nan)),
-        'way of a dog [m]': Mean.of(
+        'path of a dog [m]': Mean.of(
             [run['dogs_run'] / len(run['paths']['dogs'][0]) for run in runs]
         ),
         'energy ∫ Σ\\|u\\|² dt [m²/s]': runs.mean('energy'),

@@ -33,7 +33,6 @@ _WORDS = {
     'plain': 'plain',
     'antithetic': 'antithetic pairs',
     'free': 'control variate: centre of free sheep',
-    'linear': 'control variate: linearised path',
     'two steps': 'levels: time step 0.1, 0.05 s',
     'three steps': 'levels: time step 0.2, 0.1, 0.05 s',
     'halves': 'levels: sheep alone, half flocks, flock',

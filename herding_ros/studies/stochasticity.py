@@ -151,7 +151,7 @@ def draw(results: Results, figures: Path) -> Section:
 
 
 def _mapped(results: Results, name: str, paths: int, sigma: float) -> Results:
-    """Return the windows that were mapped in this way."""
+    """Return the windows of one mapping."""
     return results.of('window', control=_CONTROLS[name], paths=paths, sigma=sigma)
 
 

@@ -20,18 +20,18 @@ _log = logging.getLogger(__name__)
 
 
 class Store:
-    """A folder of results. A result is there completely or not at all, whatever happens."""
+    """A folder of results. Writing is atomic: a result is stored completely or not at all."""
 
     def __init__(self, folder: Path) -> None:
-        """Keep results in this folder, which is made when the first one comes."""
+        """Store results in this folder, which is made for the first one."""
         self.folder = folder
 
     def path(self, task: Task) -> Path:
-        """Where the result of a task is kept."""
+        """Return the path of the result of a task."""
         return self.folder / task.kind / f'{task.key}.json'
 
     def load(self, task: Task) -> Result | None:
-        """Return the result of a task; None where there is none, or none that can be read."""
+        """Return the result of a task; None if there is none or it is damaged."""
         path = self.path(task)
         try:
             entry = json.loads(path.read_text(encoding='utf-8'))
@@ -43,14 +43,14 @@ class Store:
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError) as error:
-            _log.warning('%s is damaged and will be computed again: %r', path, error)
+            _log.warning('%s is damaged and will be recomputed: %r', path, error)
             return None
         return result
 
     def keep(self, task: Task, result: Result, seconds: float) -> None:
-        """Write the result of a task, with everything one needs to get it again.
+        """Write the result of a task, with everything that is needed to reproduce it.
 
-        Raises ValueError when the result holds NaN or infinity, which JSON does not know.
+        Raises ValueError when the result holds NaN or infinity, which JSON cannot represent.
         """
         entry = {
             'kind': task.kind,
@@ -63,7 +63,6 @@ class Store:
         text = json.dumps(entry, allow_nan=False, separators=(',', ':'))
         path = self.path(task)
         path.parent.mkdir(parents=True, exist_ok=True)
-        # The name appears in the folder with the whole content behind it, in one instant.
         handle, temporary = tempfile.mkstemp(dir=path.parent, suffix='.tmp')
         try:
             with os.fdopen(handle, 'w', encoding='utf-8') as file:

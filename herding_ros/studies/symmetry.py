@@ -54,7 +54,7 @@ def draw(results: Results, figures: Path) -> Section:
                     'dogs': 2 * dog_pairs,
                     'motion': words,
                     'drift of the centre in 20 s, at most [m]': f'{drift:.1e}',
-                    'way of a sheep, at most [m]': max(short.values('moved')),
+                    'displacement of a sheep, at most [m]': max(short.values('moved')),
                     'drift in 60 s [m]': f'{later:.1e}',
                 }
             )

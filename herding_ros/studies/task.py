@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A task: one computation with its parameters, and the key under which its result is kept."""
+"""A task: one computation with its parameters, and the key of its result."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _THAT_COMPUTE = ('model', 'control', 'studies/experiments')
 class Task:
     """One call of an experiment: its name (kind) and its parameters, which JSON can hold.
 
-    The parameters, with the seed among them, determine the result. cost is about how many
-    seconds it takes on one core; it serves the display of the time left and nothing else.
+    The parameters, with the seed among them, determine the result. cost: estimated time on one
+    core [s], for the display of the remaining time.
     """
 
     kind: str
@@ -30,12 +30,12 @@ class Task:
     cost: float = field(default=1.0, compare=False)
 
     def __post_init__(self) -> None:
-        """Take the parameters as they come back from a file: lists for tuples."""
+        """Convert the parameters as a file does: lists for tuples."""
         object.__setattr__(self, 'parameters', json.loads(json.dumps(self.parameters)))
 
     @cached_property
     def key(self) -> str:
-        """Same kind, parameters, version and code, and only then: same key."""
+        """A hash of kind, parameters, version and code."""
         content = [self.kind, self.parameters, __version__, code()]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
@@ -44,9 +44,9 @@ class Task:
 def code() -> str:
     """Return a hash of all code that computes: model, control and the experiments.
 
-    The version alone would not do: while one works on the controller, it stays the same, and
-    results of yesterday's code would end up in today's figure. Code that only draws does not
-    count, nor do comments, docstrings and layout: changing them must not cost hours.
+    The version does not suffice: it stays the same during development, and results of old code
+    would end up in new figures. Code that only draws does not count, nor do comments, docstrings
+    and layout, since recomputing takes hours.
     """
     digest = hashlib.sha256()
     for folder in _THAT_COMPUTE:
@@ -66,7 +66,7 @@ def bare(source: str) -> str:
 
 
 def _is_text(node: ast.stmt) -> bool:
-    """Whether the statement is a text that nobody uses: a docstring, or one of a field."""
+    """Whether the statement is an unused string: a docstring, of a field too."""
     return (
         isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)

@@ -16,9 +16,10 @@ from herding_ros.control.space_mapping import aggressive
 from herding_ros.control.spg import spg
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.expectation import mean_centre
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.noise import noise_paths, NoisePaths
+from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
 
@@ -56,8 +57,9 @@ def expected_centre(
     sigma: float, state: HerdState, plan: Plan, dt: float, noise: NoisePaths
 ) -> Array:
     substeps = round(plan.dt / dt)
-    mean = expected_positions(Crowd(noise=sigma), state, plan.u, dt, substeps, noise)
-    return mean.mean(axis=1)
+    steps = len(plan.u) * substeps
+    fine = FineModel(Crowd(noise=sigma), state, dt, steps, substeps)
+    return mean_centre(fine, plan.u, noise)
 
 
 def l2(difference: Array, dt: float) -> float:
@@ -387,10 +389,8 @@ def test_common_noise_spoils_the_mean_of_few_paths_more() -> None:
     def off(share: float, seed: int) -> float:
         crowd = Crowd(noise=0.03, common_noise=share)
         noise = noise_paths(np.random.default_rng(seed), crowd, 16, window.dt, steps, 16)
-        mean = expected_positions(
-            crowd, state, window.plan.u, window.dt, control.horizon.substeps, noise
-        )
-        return l2(mean.mean(axis=1) - window.centre, window.dt)
+        fine = FineModel(crowd, state, window.dt, steps, control.horizon.substeps)
+        return l2(mean_centre(fine, window.plan.u, noise) - window.centre, window.dt)
 
     individual, common = (np.mean([off(share, seed) for seed in range(8)]) for share in (0.0, 1.0))
     assert common > 2.0 * individual

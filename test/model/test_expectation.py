@@ -5,18 +5,17 @@ import pytest
 
 from herding_ros.model import expectation
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions
-from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
+from herding_ros.model.dynamics import rollout
+from herding_ros.model.expectation import Expectation, ExpectedCentre, mean_centre, Noise
 from herding_ros.model.kernels import PATHS
 from herding_ros.model.noise import noise_paths
 from herding_ros.model.potentials import Morse
 from herding_ros.model.sampling import (
     alone,
-    Estimator,
     ESTIMATORS,
     FineModel,
     free,
-    linear,
+    MonteCarloEstimator,
     Resolution,
 )
 from herding_ros.model.scenario import initial_herd
@@ -27,12 +26,13 @@ NOTHING = Morse(0.0, 1.0, 0.0, 1.0)
 STEPS = 160
 ALL = {
     **ESTIMATORS,
-    'antithetic': Estimator(antithetic=True),
-    'free': Estimator(variate=free),
-    'linear': Estimator(variate=linear),
-    'time': Estimator(lambda _: (Resolution(longer=4), Resolution(longer=2), Resolution()), free),
-    'halves': Estimator(lambda fine: (alone(fine), Resolution(5), Resolution()), free),
-    'single': Estimator(ESTIMATORS['multilevel'].chain, free),
+    'antithetic': MonteCarloEstimator(antithetic=True),
+    'free': MonteCarloEstimator(variate=free),
+    'time': MonteCarloEstimator(
+        lambda _: (Resolution(longer=4), Resolution(longer=2), Resolution()), free
+    ),
+    'halves': MonteCarloEstimator(lambda fine: (alone(fine), Resolution(5), Resolution()), free),
+    'single': MonteCarloEstimator(ESTIMATORS['multilevel'].chain, free),
 }
 
 
@@ -46,7 +46,7 @@ def controls() -> Array:
 
 
 def found(
-    estimator: Estimator,
+    estimator: MonteCarloEstimator,
     error: float,
     most: int,
     seed: int = 0,
@@ -63,13 +63,29 @@ def distance(a: Array, b: Array) -> float:
     return math.sqrt(float(np.square(a - b).sum()) / STEPS)
 
 
-def test_plain_is_the_mean_over_the_paths_of_the_ensemble() -> None:
+@pytest.mark.parametrize('paths', [1, 5, PATHS, PATHS + 4])
+@pytest.mark.parametrize('large', [False, True])
+def test_mean_centre_is_that_of_single_rollouts(
+    monkeypatch: pytest.MonkeyPatch, large: bool, paths: int
+) -> None:
+    if large:
+        monkeypatch.setattr('herding_ros.model.sampling._LARGE', 4)
     fine, u = model(), controls()
+    noise = noise_paths(np.random.default_rng(3), CROWD, 10, 0.05, STEPS, paths)
+    singles = [
+        rollout(CROWD, fine.state, u, 0.05, 2, noise.path(i)).x.mean(axis=1) for i in range(paths)
+    ]
+    found, again = (mean_centre(fine, u, noise, threads) for threads in (1, 3))
+    np.testing.assert_allclose(found, np.mean(singles, axis=0), rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(found, again)
+
+
+def test_plain_is_the_mean_over_paths() -> None:
     noise = noise_paths(np.random.default_rng(3), CROWD, 10, 0.05, STEPS, 100)
-    expected = expected_positions(CROWD, fine.state, u, 0.05, 2, noise).mean(axis=1)
     each = found(ESTIMATORS['plain'], 0.0, 100, seed=3)
     assert each.paths == (100,)
     assert each.work == pytest.approx(100.0)
+    expected = mean_centre(model(), controls(), noise)
     np.testing.assert_allclose(each.centre, expected, rtol=0, atol=1e-13)
 
 
@@ -98,7 +114,7 @@ def test_standard_error_is_honest(name: str) -> None:
     assert scatter / np.square(said).mean() == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / 200))
 
 
-@pytest.mark.parametrize('name', ['antithetic', 'free', 'linear', 'multilevel'])
+@pytest.mark.parametrize('name', ['antithetic', 'free', 'multilevel'])
 def test_where_noise_acts_linearly_nothing_is_left(name: str) -> None:
     fine = model(Crowd(sheep=NOTHING, dog=NOTHING, noise=0.03))
     each = found(ALL[name], 1e-9, 10_000, fine=fine)
@@ -126,7 +142,7 @@ def test_no_more_work_than_allowed() -> None:
     each = found(ALL['multilevel'], 1e-6, 100)
     assert 90.0 < each.work < 110.0
     assert found(ALL['plain'], 0.0, 7).paths == (7,)
-    with pytest.raises(ValueError, match='most is 1 paths'):
+    with pytest.raises(ValueError, match='most must be at least 2 paths, got 1'):
         found(ALL['plain'], 0.0, 1)
 
 

@@ -9,11 +9,12 @@ import pytest
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import forces, rollout
-from herding_ros.model.ensemble import expected_positions
+from herding_ros.model.expectation import mean_centre
 from herding_ros.model.kernels import lanes, PATHS
 from herding_ros.model.noise import increments, noise_paths, strength
 from herding_ros.model.noise_field import NoiseField, NoiseFunction
 from herding_ros.model.potentials import Morse
+from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
@@ -60,6 +61,19 @@ def test_increments_are_brownian_for_each_sheep_with_the_correlation_asked_for(
     np.testing.assert_allclose(drawn.mean(axis=0), 0.0, atol=many)
     np.testing.assert_allclose(drawn.T @ drawn / steps, expected, atol=many * math.sqrt(2.0))
     np.testing.assert_allclose(drawn[1:].T @ drawn[:-1] / steps, 0.0, atol=many)
+
+
+def test_paths_are_independent_and_no_more_than_asked_for() -> None:
+    noise = noise_paths(np.random.default_rng(3), Crowd(noise=0.3), 2, 0.04, 2_000, 20)
+    drawn = np.stack([noise.path(i)[:, :, :2] for i in range(20)])
+    drawn = drawn.transpose(1, 0, 2, 3).reshape(2_000, -1) / (0.3 * np.sqrt(0.04))
+    assert abs(drawn.mean()) < 4.0 / np.sqrt(drawn.size)
+    assert abs(drawn.var() - 1.0) < 4.0 * np.sqrt(2.0 / drawn.size)
+    correlation = np.corrcoef(drawn.T) - np.eye(80)
+    assert np.abs(correlation).max() < 5.0 / np.sqrt(2_000)
+    assert not noise.path(19)[:, :, 2:].any()
+    with pytest.raises(IndexError):
+        noise.path(20)
 
 
 @shares
@@ -241,9 +255,8 @@ def test_expectation_in_a_field_is_the_mean_of_single_rollouts(
     u, dt, t = np.random.default_rng(1).normal(0.0, 0.05, (20, 2, 2)), 0.05, 3.1
     noise = noise_paths(np.random.default_rng(0), crowd, 7, dt, 40, paths)
     singles = [rollout(crowd, state, u, dt, 2, noise.path(i), t).x for i in range(paths)]
-    one, two = (expected_positions(crowd, state, u, dt, 2, noise, each, t) for each in (1, 2))
-    np.testing.assert_allclose(one, np.mean(singles, axis=0), rtol=0, atol=1e-13)
-    np.testing.assert_array_equal(one, two)
+    found = mean_centre(FineModel(crowd, state, dt, 40, 2, t), u, noise)
+    np.testing.assert_allclose(found, np.mean(singles, axis=(0, 2)), rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize('value', [1.0, 2.0])
@@ -257,8 +270,10 @@ def test_a_constant_function_is_a_uniform_sigma(random_herd: HerdMaker, value: f
     np.testing.assert_array_equal(found.x, expected.x)
     np.testing.assert_array_equal(found.v, expected.v)
     mean, wanted = (
-        expected_positions(
-            each, state, u, dt, 2, noise_paths(np.random.default_rng(0), each, 9, dt, 30, 20)
+        mean_centre(
+            FineModel(each, state, dt, 30, 2),
+            u,
+            noise_paths(np.random.default_rng(0), each, 9, dt, 30, 20),
         )
         for each in (crowd, uniform)
     )
@@ -372,10 +387,9 @@ def test_what_is_no_field_is_refused_in_words(kind: str) -> None:
     u, rng = np.zeros((1, 1, 2)), np.random.default_rng(0)
     with pytest.raises(ValueError, match=f'^noise_field {words}'):
         rollout(crowd, state, u, 0.1, 1, increments(rng, crowd, 2, 0.1, 1), 2.0)
+    fine = FineModel(crowd, state, 0.1, 1, 1, 2.0)
     with pytest.raises(ValueError, match=f'^noise_field {words}'):
-        expected_positions(
-            crowd, state, u, 0.1, 1, noise_paths(rng, crowd, 2, 0.1, 1, 20), None, 2.0
-        )
+        mean_centre(fine, u, noise_paths(rng, crowd, 2, 0.1, 1, 20))
 
 
 def test_a_function_that_changes_its_argument_moves_no_sheep(random_herd: HerdMaker) -> None:

@@ -11,12 +11,11 @@ from herding_ros.model.noise import noise_paths
 from herding_ros.model.potentials import Morse
 from herding_ros.model.sampling import (
     alone,
-    Estimator,
     ESTIMATORS,
     FineModel,
     free,
     interpolate,
-    linear,
+    MonteCarloEstimator,
     Resolution,
 )
 from herding_ros.model.state import Array, HerdState
@@ -101,8 +100,6 @@ def test_a_large_flock_is_computed_path_by_path_alike(
     np.testing.assert_allclose(found[:, :, 0], block, rtol=0, atol=1e-13)
     np.testing.assert_allclose(free(fine, u)(one)[:, :, 0], variate, rtol=0, atol=1e-15)
     assert draw(fine).shape == (STEPS, 2, 9)
-    with pytest.raises(ValueError, match='linear paths of 9 sheep'):
-        linear(fine, u)
 
 
 def test_noise_is_that_of_the_ensemble(random_herd: HerdMaker) -> None:
@@ -115,7 +112,7 @@ def test_noise_is_that_of_the_ensemble(random_herd: HerdMaker) -> None:
 
 
 def test_without_forces_the_free_centre_is_all_that_noise_does(random_herd: HerdMaker) -> None:
-    """With any friction and any start, to rounding; the linear path then is the same."""
+    """With any friction and any start, to rounding."""
     for friction in (0.0, 0.5, 3.0):
         fine = model(random_herd(6, 2), dataclasses.replace(FREE_CROWD, friction=friction))
         u, noise = controls(2), draw(fine)
@@ -124,29 +121,12 @@ def test_without_forces_the_free_centre_is_all_that_noise_does(random_herd: Herd
         variate = free(fine, u)(noise)
         assert np.abs(variate[-1]).min() > 1e-5
         np.testing.assert_allclose(moved - quiet, variate, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(linear(fine, u)(noise), variate, rtol=0, atol=1e-14)
 
 
-def test_linear_path_leaves_what_is_of_second_order(random_herd: HerdMaker) -> None:
-    """Taylor test, and against a difference quotient, in every path and at every step."""
+def test_the_control_variate_is_odd_and_additive(random_herd: HerdMaker) -> None:
+    """Linear in the noise, with weights of its own: so its mean is zero."""
     fine, u = model(random_herd(6, 2)), controls(2)
-    noise = draw(fine)
-    sample = Resolution().sampler(fine, u)
-    answer, quiet = linear(fine, u)(noise), sample(np.zeros_like(noise))
-    quotient = (sample(1e-5 * noise) - sample(-1e-5 * noise)) / 2e-5
-    np.testing.assert_allclose(answer, quotient, rtol=0, atol=1e-8)
-    left = [np.abs(sample(h * noise) - quiet - h * answer).max(axis=(0, 1)) for h in (1e-2, 2e-3)]
-    order = np.log(left[0] / left[1]) / np.log(5.0)
-    assert order.min() > 1.9
-
-
-@pytest.mark.parametrize('variate', [free, linear])
-def test_control_variates_are_odd_and_additive(
-    random_herd: HerdMaker, variate: Callable[[FineModel, Array], Callable[[Array], Array]]
-) -> None:
-    """Linear in the noise, with weights of their own: so their mean is zero."""
-    fine, u = model(random_herd(6, 2)), controls(2)
-    sample, one, other = variate(fine, u), draw(fine), draw(fine, seed=1)
+    sample, one, other = free(fine, u), draw(fine), draw(fine, seed=1)
     np.testing.assert_allclose(
         sample(2.0 * one - other), 2.0 * sample(one) - sample(other), rtol=0, atol=1e-14
     )
@@ -154,7 +134,7 @@ def test_control_variates_are_odd_and_additive(
 
 def test_antithetic_pair_is_exact_where_noise_acts_linearly(random_herd: HerdMaker) -> None:
     fine, u = model(random_herd(6, 2), FREE_CROWD), controls(2)
-    (level,) = Estimator(antithetic=True).levels(fine)
+    (level,) = MonteCarloEstimator(antithetic=True).levels(fine)
     values = level.sampler(u)(draw(fine))
     expected = rollout(FREE_CROWD, fine.state, u, 0.05, 2).x.mean(axis=1)
     np.testing.assert_allclose(values, expected[:, :, None] + np.zeros(PATHS), atol=1e-14)
@@ -167,7 +147,9 @@ def test_levels_add_up_to_the_fine_model(
     """The sum telescopes: with the same noise on all levels only the fine model is left."""
     fine, u = model(random_herd(6, 2)), controls(2)
     chain = (Resolution(1, 8), Resolution(3, 4), Resolution(longer=2), Resolution())
-    estimator = Estimator(lambda _: chain, **({} if variate is None else {'variate': variate}))
+    estimator = MonteCarloEstimator(
+        lambda _: chain, **({} if variate is None else {'variate': variate})
+    )
     noise, total = draw(fine), np.zeros(1)
     for level in estimator.levels(fine):
         times = level.resolution.longer
@@ -177,12 +159,6 @@ def test_levels_add_up_to_the_fine_model(
     if variate is not None:
         expected = expected - variate(fine, u)(noise)
     np.testing.assert_allclose(total, expected, rtol=0, atol=1e-13)
-
-
-def test_the_dogs_go_where_a_rollout_takes_them(random_herd: HerdMaker) -> None:
-    fine, u = model(random_herd(3, 4)), controls(4)
-    expected = rollout(CROWD, fine.state, u, 0.05, 2).ds
-    np.testing.assert_array_equal(fine.dogs(u), expected)
 
 
 def test_sheep_alone_take_long_steps_that_friction_allows(random_herd: HerdMaker) -> None:

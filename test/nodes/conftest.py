@@ -130,14 +130,15 @@ def start(tmp_path: Path, domain: int) -> Iterator[Callable[..., Process]]:
         return started[-1]
 
     yield start_one
-    for process in started:
-        if process.process.poll() is None:
-            process.process.terminate()
-            try:
-                process.process.wait(10.0)
-            except subprocess.TimeoutExpired:
-                process.process.kill()
-                process.process.wait()
+    running = [each.process for each in started if each.process.poll() is None]
+    for process in running:
+        process.terminate()
+    for process in running:
+        try:
+            process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 class Peer:

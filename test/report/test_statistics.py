@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from herding_ros.report.statistics import Fraction, Mean, Median, significant
+from herding_ros.report.statistics import Fraction, Mean, Median, Quartiles, significant
 
 
 @pytest.mark.parametrize(
@@ -81,3 +81,7 @@ def test_a_mean_is_written_to_the_digits_it_has(mean: Mean, text: str) -> None:
 )
 def test_significant_digits(value: float, text: str) -> None:
     assert significant(value) == text
+
+
+def test_quartiles_are_shown_with_three_digits() -> None:
+    assert str(Quartiles.of([0.01234, 12345.6, 3.14159, 2.0, 4.0])) == '3.14 (2.00 to 4.00)'

@@ -91,7 +91,7 @@ def made_up() -> Results:
             'judged_after': 0.008 * (1.0 + share) + 0.001 * (seed - 1), 'uncertainty': 0.001,
             'wander': 0.2 + 0.8 * share + 0.02 * (seed - 1),
         }  # fmt: skip
-        if given['control']['mapping'].get('estimator') != 'plain':
+        if given['control'] == common_noise._CONTROLS['multilevel']:
             result['judged_after'] = 0.004
         if given['trace']:
             result['trace'] = {'wanted': [[0, 0], [1, 1]], 'singles': [[[0, 0], [1, share]]] * 2}
@@ -133,7 +133,7 @@ def test_a_run_under_common_noise_is_that_of_the_closed_loop() -> None:
         for each in common_noise.tasks(Options(quick=True))
         if each.kind == 'herding'
         and each.parameters['common_noise'] == 1.0
-        and each.parameters['settings']['mapping'].get('max_iterations') == 0
+        and each.parameters['settings'].get('mapping', {}).get('max_iterations') == 0
     ]
     found = EXPERIMENTS['herding'](**task.parameters)
     crowd, control = Crowd(common_noise=1.0), Control(mapping=Mapping(paths=8, max_iterations=0))

@@ -17,7 +17,7 @@ def result_of(task: Task) -> dict[str, Any] | None:
     """Return a made-up result: dogs take 60 s per dog, guides 30 s, fast ones 20 s."""
     given = task.parameters
     lead = given['policy'] == 'planner'
-    base = 60.0 if given['crowd'] == 'cohesive' else 20.0 if given['settings'] else 30.0
+    base = 60.0 if given.get('crowd') == 'cohesive' else 20.0 if given['settings'] else 30.0
     time = base / given['dogs'] + given['seed'] if lead else None
     return {
         'arrived': lead, 'time': time, 'duration': time or 400.0, 'max_spread': 0.3,

@@ -8,7 +8,7 @@ import pytest
 
 from herding_ros.control.closed_loop import ClosedLoopRun
 from herding_ros.studies.experiments import EXPERIMENTS
-from herding_ros.studies.experiments.herding import measures, paths
+from herding_ros.studies.experiments.measures import course, measures
 
 GOAL = np.array([0.5, 0.5])
 SMALL: dict[str, Any] = {'horizon': {'length': 8.0, 'accepted': 4.0}, 'mapping': {'paths': 20}}
@@ -30,11 +30,11 @@ def run(policy: str, **changes: Any) -> dict[str, Any]:
 
 
 def test_a_run_can_go_on_after_the_arrival() -> None:
-    short = run('planner', dogs=3, sigma=0.01, settings=SMALL, time_limit=100.0)
-    long = run('planner', dogs=3, sigma=0.01, settings=SMALL, time_limit=100.0, stop=False)
+    given = {'dogs': 3, 'sigma': 0.01, 'settings': SMALL, 'goal': [0.2, 0.2], 'seed': 2}
+    short, long = (run('planner', time_limit=20.0, stop=stop, **given) for stop in (True, False))
     assert short['arrived']
     assert short['time'] == long['time'] == short['duration']
-    assert long['duration'] == 100.0
+    assert long['duration'] == 20.0
     assert short['from_home'] is None
     assert long['from_home']['max_distance'] >= long['from_home']['mean_distance'] > 0.0
 
@@ -62,7 +62,7 @@ def test_measures_of_a_run_that_is_known() -> None:
     assert found['from_home']['turning_speed'] == pytest.approx(0.15)
     assert found['from_home']['max_distance'] == pytest.approx(0.95)
     assert found['from_home']['dog_distance'] == pytest.approx(1.0)
-    stored = paths(ClosedLoopRun(t, x, d, u, 50), np.array([0.0, 0.0]), 30)
+    stored = course(ClosedLoopRun(t, x, d, u, 50), np.array([0.0, 0.0]), 30)
     assert stored['t'] == [0.0, 3.0, 6.0, 9.0, 10.0]
     np.testing.assert_allclose(stored['centre'], middle[[0, 30, 60, 90, 100]], atol=5e-5)
 
@@ -83,5 +83,5 @@ def test_snapshots_are_those_of_their_instants() -> None:
 
 
 def test_unknown_policy_is_refused() -> None:
-    with pytest.raises(ValueError, match='allowed is planner, strombom or none'):
+    with pytest.raises(ValueError, match="must be 'planner', 'strombom' or 'none', got 'wolf'"):
         run('wolf')

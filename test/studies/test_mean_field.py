@@ -11,7 +11,7 @@ from herding_ros.model.noise import noise_paths
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.studies import mean_field as study
 from herding_ros.studies.experiments import EXPERIMENTS
-from herding_ros.studies.experiments.mean_field import _mirrored
+from herding_ros.studies.experiments.window import mirrored as mirrored_paths
 from herding_ros.studies.study import Options, Results
 from herding_ros.studies.task import Task
 
@@ -47,7 +47,7 @@ def test_mapping_lowers_the_error_on_paths_that_it_has_not_seen() -> None:
 def test_mirrored_paths_cancel_and_keep_their_variance() -> None:
     sheep, sigma, dt = 5, 0.3, 0.04
     noise = noise_paths(np.random.default_rng(0), Crowd(noise=sigma), sheep, dt, 50, 30)
-    mirrored = _mirrored(noise)
+    mirrored = mirrored_paths(noise)
     paths = np.array([mirrored.path(i) for i in range(mirrored.paths)])
     assert len(paths) == 32
     assert abs(paths.sum(axis=0)).max() < 1e-15
@@ -62,7 +62,7 @@ def test_replan_times_every_flock() -> None:
 
 
 def test_rate_is_the_slope_of_the_errors() -> None:
-    """Errors that fall like 1 / N are told to."""
+    """Of errors that fall like 1 / N, and like their square."""
     tasks = [
         task for task in study.tasks(Options(seeds=2)) if task.kind == 'mean_field_convergence'
     ]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from herding_ros.control.closed_loop import closed_loop
+from herding_ros.control.closed_loop import as_policy, closed_loop
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
 from herding_ros.control.pilot import LockstepPilot
 from herding_ros.control.receding_horizon import RecedingHorizon
@@ -17,7 +17,7 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.studies import observation
 from herding_ros.studies.experiments import EXPERIMENTS
-from herding_ros.studies.experiments.observation import Watched
+from herding_ros.studies.experiments.herding import Watched
 from herding_ros.studies.experiments.settings import differences
 from herding_ros.studies.study import Options, Results
 
@@ -26,7 +26,8 @@ SMALL = Control(horizon=Horizon(length=8.0, accepted=4.0), mapping=Mapping(paths
 
 
 def run(noise: float, control: Control = SMALL, **changes: Any) -> dict[str, Any]:
-    given = {
+    given: dict[str, Any] = {
+        'policy': 'planner',
         'sheep': 9,
         'dogs': 3,
         'sigma': 0.01,
@@ -36,7 +37,7 @@ def run(noise: float, control: Control = SMALL, **changes: Any) -> dict[str, Any
         'time_limit': 8.0,
         'settings': differences(control, Control()),
     }
-    return EXPERIMENTS['observation'](**(given | changes))
+    return EXPERIMENTS['herding'](**(given | changes))
 
 
 def filtered(noise: float) -> Control:
@@ -44,9 +45,9 @@ def filtered(noise: float) -> Control:
 
 
 def test_a_run_is_that_of_the_closed_loop() -> None:
-    found = run(0.05, filtered(0.05), time_limit=60.0)
+    found = run(0.05, filtered(0.05), time_limit=20.0)
     world = World(sheep=9, dogs=3, seed=1, position_noise=0.05, velocity_noise=0.05)
-    track = closed_loop(Crowd(), world, filtered(0.05), GOAL, 60.0)
+    track = closed_loop(Crowd(), world, filtered(0.05), GOAL, 20.0)
     assert found['arrived'] == track.arrived
     assert found['duration'] == pytest.approx(track.t[-1])
     np.testing.assert_allclose(found['paths']['last'], track.x[-1], atol=5e-5)
@@ -71,7 +72,8 @@ def test_errors_are_those_of_what_is_seen_and_of_what_is_believed() -> None:
 
 def test_errors_are_measured_against_the_state_at_that_instant() -> None:
     simulation = Simulation(Crowd(), World(sheep=4, dogs=2, seed=3), GOAL)
-    watched = Watched(LockstepPilot(RecedingHorizon(Crowd(), SMALL, GOAL), 2), simulation)
+    pilot = LockstepPilot(RecedingHorizon(Crowd(), SMALL, GOAL), 2)
+    watched = Watched(as_policy(pilot, []), pilot, simulation)
     assert set(watched.errors()['seen'].values()) == {0.0}
     squares = []
     for k in range(3):

@@ -28,7 +28,7 @@ def test_gains_are_at_equal_standard_error(tmp_path: Path) -> None:
     other = {name: plain | {'off': 2e-3} for name in COMPARED}
     result = other | {'multilevel': ours | {'off': 1e-3}}
     section = sampling.draw(Results([(task, result)]), tmp_path)
-    assert [row.ours for row in section.rows] == ['4.00', '4.00', '8.00']
+    assert [str(row.ours) for row in section.rows] == ['4.00', '4.00', '8.00']
     bounds = [goal.reached for goal in section.goals]
     assert bounds == [False, False, True]
     assert '80 + 16' in section.values['costs']

@@ -28,7 +28,7 @@ def test_a_result_comes_back_as_it_was(tmp_path: Path) -> None:
     assert [path.suffix for path in store.path(TASK).parent.iterdir()] == ['.json']
 
 
-def test_key_tells_tasks_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_key_distinguishes_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     same = Task('symmetry', {'goal': [0.5, 1.0], 'seed': 3}, cost=1.0)
     assert same.key == TASK.key
     assert Task('symmetry', {'goal': [0.5, 1.0], 'seed': 4}).key != TASK.key
@@ -89,7 +89,7 @@ def test_only_what_computes_counts_as_code(
     code.cache_clear()
 
 
-def test_bare_keeps_texts_that_are_used() -> None:
+def test_bare_keeps_strings_that_are_used() -> None:
     source = 'def f():\n    """Text."""\n    return "text"  # why\n'
     assert bare(source) == "def f():\n    return 'text'"
     assert bare('class A:\n    """Text."""\n') == 'class A:\n    pass'

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from herding_ros.model import kernels
 from herding_ros.model.state import Array, Trajectory
+from herding_ros.model.tracking_cost import tracking_cost
 
 from .cost import Derivatives
 
@@ -36,7 +36,7 @@ class Tracking:
     def value_and_derivative(self, trajectory: Trajectory) -> tuple[float, Array]:
         """Return C and its derivative (K+1, 2, lanes) by the positions of the sheep."""
         derivative = np.empty_like(trajectory.xs)
-        value = kernels.tracking_cost(
+        value = tracking_cost(
             trajectory.xs,
             self.reference,
             trajectory.n,

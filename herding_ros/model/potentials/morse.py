@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from herding_ros.model import kernels
 from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.state import Array
 
+from . import forms
 from .potential import Potential
 
 
@@ -32,7 +32,7 @@ class Morse(Potential):
             1.0 / self.attraction_length,
         )
 
-    def kernel_form(self) -> kernels.MorseCoefficients:
+    def kernel_form(self) -> forms.MorseCoefficients:
         """Return the coefficients: the kernels know Morse potentials by their formula."""
         return self.coefficients
 
@@ -44,12 +44,12 @@ class Morse(Potential):
 
     def derivative(self, r: Array) -> Array:
         """P'(r) [m/s^2]."""
-        a, _ = kernels.pair_terms(np.square(r), self.coefficients)
+        a, _ = forms.pair_terms(np.square(r), self.coefficients)
         return a * r
 
     def second_derivative(self, r: Array) -> Array:
         """P''(r) [1/s^2]."""
-        a, b = kernels.pair_terms(np.square(r), self.coefficients)
+        a, b = forms.pair_terms(np.square(r), self.coefficients)
         return a + b * np.square(r)
 
     def without_ranges_below(self, length: float) -> Morse:

@@ -7,9 +7,10 @@ from functools import cache
 
 import numpy as np
 
-from herding_ros.model import kernels
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.state import Array
+
+from . import forms
 
 _FARTHEST = 1e3
 """Up to this distance a table knows a potential [m]; P'/r is constant beyond."""
@@ -40,7 +41,7 @@ class Potential(Parameters):
         """Distance [m] within which a table takes P'/r for constant."""
         return 1e-6
 
-    def kernel_form(self) -> kernels.PotentialForm:
+    def kernel_form(self) -> forms.PotentialForm:
         """Return what the kernels work with: a table, unless a potential knows better.
 
         Raises ValueError if a derivative is not finite everywhere in its range.
@@ -53,13 +54,13 @@ class Potential(Parameters):
 
 
 @cache
-def _table(potential: Potential) -> kernels.Table:
+def _table(potential: Potential) -> forms.Table:
     """Tabulate P'/r by cubic pieces in r**2, with the derivative in r**2 given at the nodes.
 
     Nodes stand closer where r is small, at a fixed relative distance: 128 from one power of
     two to the next. The error falls with its fourth power: 1e-9 relative for P' like r**-1.
     """
-    nodes = kernels.table_nodes(potential.nearest**2, _FARTHEST**2)
+    nodes = forms.table_nodes(potential.nearest**2, _FARTHEST**2)
     r = np.sqrt(nodes)
     a = potential.derivative(r) / r
     slope = (potential.second_derivative(r) - a) / (2.0 * nodes)
@@ -69,4 +70,4 @@ def _table(potential: Potential) -> kernels.Table:
                 f'{type(potential).__name__}.{name}({r[~np.isfinite(values)][0]:g}) is not '
                 'finite, allowed are finite values at all distances'
             )
-    return kernels.table(nodes, a, slope)
+    return forms.table(nodes, a, slope)

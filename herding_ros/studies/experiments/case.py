@@ -15,9 +15,9 @@ from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.ensemble import expected_positions
-from herding_ros.model.flock import centre
+from herding_ros.model.expectation import mean_centre
 from herding_ros.model.noise import noise_paths, NoisePaths
+from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array, HerdState
 
@@ -117,8 +117,11 @@ class Case:
     def expected_centre(self, u: Array, noise: NoisePaths) -> Array:
         """Return the mean centre (K+1, 2) [m] under u over the paths of the noise."""
         coarse = self.coarse
-        mean = expected_positions(self.crowd, self.state, u, coarse.dt, coarse.substeps, noise)
-        return centre(mean)
+        steps = len(u) * coarse.substeps
+        fine = FineModel(
+            self.crowd, self.state, coarse.dt, steps, coarse.substeps, motion=coarse.motion
+        )
+        return mean_centre(fine, u, noise)
 
     def judge(self, u: Array, paths: int, mirrored: bool = False) -> tuple[Array, float]:
         """Return expected centres (K+1, 2) [m] under u on noise that no method has seen.

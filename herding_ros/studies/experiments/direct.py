@@ -24,7 +24,7 @@ _TOLERANCE = 1e-4
 def pathwise_gradient(
     model: CoarseModel, noise: NoisePaths, wanted: Array, u: Array
 ) -> tuple[float, Array]:
-    """Return |X(u) - wanted|^2 / 2 in L2(0, T), X the mean centre over the paths; its gradient.
+    """Return |X(u) - reference|^2 / 2 in L2(0, T), X the mean centre over the paths; its gradient.
 
     The sample average is a deterministic function of u. Its derivative is the mean over the
     paths of the derivatives along each path, by the reverse sweep with that path's noise. As

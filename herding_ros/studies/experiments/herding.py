@@ -30,7 +30,7 @@ _QUANTITIES = {'position': 'x', 'velocity': 'v', 'dog': 'd'}
 class Stopwatch:
     """A policy with the processor time [s] that it takes.
 
-    Time of this process on all its cores: what others do on the machine does not count.
+    Time of this process on all its cores: other load on the machine does not count.
     """
 
     def __init__(self, policy: Policy) -> None:
@@ -39,7 +39,7 @@ class Stopwatch:
         self.seconds = 0.0
 
     def __call__(self, observed: HerdState, t: float) -> Array:
-        """Return the velocities that the policy wants."""
+        """Return the velocities (M, 2) [m/s] of the policy."""
         started = time.process_time()
         u = self._policy(observed, t)
         self.seconds += time.process_time() - started
@@ -57,7 +57,7 @@ class Watched:
         self._squares: dict[str, list[list[float]]] = {'seen': [], 'believed': []}
 
     def __call__(self, observed: HerdState, t: float) -> Array:
-        """Return the velocities that the controller wants."""
+        """Return the velocities (M, 2) [m/s] of the controller."""
         u = self._policy(observed, t)
         estimate = self._pilot.estimate
         assert estimate is not None
@@ -72,7 +72,7 @@ class Watched:
         return u
 
     def errors(self) -> dict[str, dict[str, float]]:
-        """Return root mean squares per coordinate, over all time and everybody.
+        """Return root mean squares per coordinate, over the whole run.
 
         Under 'seen' and 'believed': position and dog [m], velocity [m/s]; zero without any
         observation.

@@ -48,7 +48,7 @@ def convergence(
 
     def errors(start: HerdState, count: int) -> dict[str, float]:
         limit = rollout(*mean_field(crowd, start, count), u, dt).x
-        # Spreads of blobs lack that within the leaves, which is known at the start.
+        # Spreads of blobs lack the spread within the leaves, which is computed at the start.
         within = spread(start.x) ** 2 - spread(limit[0]) ** 2
         wide = np.sqrt(spread(limit) ** 2 + within)
         return {

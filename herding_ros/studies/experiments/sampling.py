@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an expected centre costs, by every estimator that we know."""
+"""Cost of an expected centre by estimator."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from herding_ros.control.parameters import PAPER
 from herding_ros.model.expectation import ExpectedCentre, Noise
 from herding_ros.model.sampling import (
     alone,
-    Estimator,
     ESTIMATORS,
     FineModel,
     free,
-    linear,
+    MonteCarloEstimator,
     Resolution,
 )
 from herding_ros.model.warmup import warm_up, warm_up_others
@@ -30,15 +29,14 @@ def _with_halves(fine: FineModel) -> tuple[Resolution, ...]:
 
 COMPARED = {
     'plain': ESTIMATORS['plain'],
-    'antithetic': Estimator(antithetic=True),
-    'free': Estimator(variate=free),
-    'linear': Estimator(variate=linear),
-    'two steps': Estimator(lambda _: (Resolution(longer=2), Resolution()), free),
-    'three steps': Estimator(
+    'antithetic': MonteCarloEstimator(antithetic=True),
+    'free': MonteCarloEstimator(variate=free),
+    'two steps': MonteCarloEstimator(lambda _: (Resolution(longer=2), Resolution()), free),
+    'three steps': MonteCarloEstimator(
         lambda _: (Resolution(longer=4), Resolution(longer=2), Resolution()), free
     ),
-    'halves': Estimator(_with_halves, free),
-    'single': Estimator(ESTIMATORS['multilevel'].chain, free),
+    'halves': MonteCarloEstimator(_with_halves, free),
+    'single': MonteCarloEstimator(ESTIMATORS['multilevel'].chain, free),
     'multilevel': ESTIMATORS['multilevel'],
 }
 _UNLIMITED = 10**6
@@ -48,8 +46,9 @@ def run(sheep: int, dogs: int, sigma: float, seed: int, standard_error: float) -
     """Estimate the expected centre under the plan without noise, to a standard error [m].
 
     For each estimator: first and again, the CPU time [s] of the first evaluation, which draws
-    the noise and settles the paths, and of the second; work in paths of the fine model; off:
-    root mean square distance from the plain estimate over the window [m], which has other noise.
+    the noise and determines the number of paths, and of the second; work in paths of the fine
+    model; off: root mean square distance from the plain estimate, which has other noise, over the
+    window [m].
     """
     warm_up()
     warm_up_others()
@@ -62,7 +61,7 @@ def run(sheep: int, dogs: int, sigma: float, seed: int, standard_error: float) -
     plain = None
     for number, (name, estimator) in enumerate(COMPARED.items()):
         noise = Noise(fine, estimator, 1000 * (1 + case.seen) + number)
-        # One thread: CPU time does not depend on how well threads share a core.
+        # One thread: CPU time does not depend on how threads share a core.
         expected = ExpectedCentre(fine, estimator, noise, standard_error, _UNLIMITED, threads=1)
         started = time.process_time()
         each = expected(u)

@@ -15,7 +15,8 @@ published, with r_a the distance that sheep keep from each other and N their num
 
 Ours: there are several dogs. Strays are collected by as many dogs as there are strays, the
 farthest strays first; the others drive, from posts side by side on an arc behind the flock. Dogs
-take the posts so that their ways are shortest in sum. With one dog these are the published rules.
+take the posts so that the sum of their distances is least. With one dog these are the published
+rules.
 """
 
 from __future__ import annotations
@@ -48,19 +49,19 @@ class Strombom:
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the dogs' velocities (M, 2) [m/s]."""
         posts = self.posts(observed.x, len(observed.d))
-        ways = np.linalg.norm(observed.d[:, None] - posts, axis=-1)
-        _, taken = linear_sum_assignment(ways)
-        way = posts[taken] - observed.d
-        left = np.linalg.norm(way, axis=1, keepdims=True)
-        angle = self.rng.uniform(0.0, 2.0 * np.pi, len(way))
-        heading = _unit(way) + self.noise * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        distances = np.linalg.norm(observed.d[:, None] - posts, axis=-1)
+        _, taken = linear_sum_assignment(distances)
+        offset = posts[taken] - observed.d
+        left = np.linalg.norm(offset, axis=1, keepdims=True)
+        angle = self.rng.uniform(0.0, 2.0 * np.pi, len(offset))
+        heading = _unit(offset) + self.noise * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         gaps = np.linalg.norm(observed.d[:, None] - observed.x, axis=-1).min(axis=1)
         speed = np.where(gaps < 3.0 * self.sheep_distance, self.slow, 1.0) * self.max_speed
-        # A dog that has less than a control period's way to go would run to and fro.
+        # A dog closer than the distance of a control period would run to and fro.
         return _unit(heading) * np.minimum(speed[:, None], left / _PATIENCE)
 
     def posts(self, x: Array, dogs: int) -> Array:
-        """Return where dogs are wanted (dogs, 2) [m] for sheep at x (N, 2) [m]."""
+        """Return the posts of the dogs (dogs, 2) [m] for sheep at x (N, 2) [m]."""
         r, n, middle = self.sheep_distance, len(x), centre(x)
         away = np.linalg.norm(x - middle, axis=1)
         strays = [i for i in np.argsort(-away, kind='stable') if away[i] > r * n ** (2.0 / 3.0)]
@@ -74,7 +75,7 @@ class Strombom:
 
 
 _PATIENCE = 0.1
-"""A post that is nearer than what a dog runs in this time [s] is approached more slowly."""
+"""A post closer than the distance that a dog covers in this time [s] is approached slowly."""
 
 
 def _unit(vectors: Array) -> Array:

@@ -14,7 +14,7 @@ from herding_ros.model.scenario import GOAL
 from herding_ros.model.state import Array, HerdState
 
 MOTIONS = ('stand', 'breathe', 'circle', 'both')
-"""How pairs of dogs move: not at all, on their diameter, round the goal, or both at once."""
+"""Motions of pairs of dogs: none, along their diameter, round the goal, or both at once."""
 
 
 def symmetric_herd(pairs: int, dog_pairs: int, seed: int) -> HerdState:
@@ -49,9 +49,9 @@ def velocities(d: Array, motion: str, duration: float, intervals: int) -> Array:
 def run(
     pairs: int, dog_pairs: int, motion: str, duration: float, dt: float, seed: int
 ) -> dict[str, Any]:
-    """Return how far the centre of a symmetric herd gets from the goal, at most [m].
+    """Return the largest distance of the centre of a symmetric herd from the goal, drift [m].
 
-    And how far the sheep moved, at most, so that one sees that something happened.
+    And the largest displacement of a sheep, moved [m].
     """
     state = symmetric_herd(pairs, dog_pairs, seed)
     crowd = Crowd(friction=0.0, noise=0.0)

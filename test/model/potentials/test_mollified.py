@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from herding_ros.model import kernels
-from herding_ros.model.potentials import Mollified, Morse, Potential, PowerLaw
+from herding_ros.model.potentials import forms, Mollified, Morse, Potential, PowerLaw
 from herding_ros.model.state import Array
 
 
@@ -101,7 +100,7 @@ def test_long_range_stays_as_it_is() -> None:
 def test_table_agrees_with_the_derivatives(width: float) -> None:
     blurred = Mollified(Morse(), width)
     r = np.geomspace(1e-6, 20.0, 3000)
-    a, b = kernels.pair_terms(r**2, blurred.kernel_form())
+    a, b = forms.pair_terms(r**2, blurred.kernel_form())
     slope, curvature = blurred.derivative(r), blurred.second_derivative(r)
     np.testing.assert_allclose(a * r, slope, rtol=0, atol=2e-5 * abs(slope).max())
     found = a + b * r**2

@@ -5,10 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from herding_ros.model import kernels
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import forces
-from herding_ros.model.potentials import Morse, Potential, PowerLaw, Tabulated
+from herding_ros.model.potentials import forms, Morse, Potential, PowerLaw, Tabulated
 from herding_ros.model.state import Array
 
 _R = np.linspace(0.0, 2.0, 60)
@@ -25,7 +24,7 @@ EVERYWHERE = np.geomspace(1e-5, 50.0, 4001)
 class Formula(Morse):
     """A Morse potential whose formula the kernels do not know."""
 
-    def kernel_form(self) -> kernels.PotentialForm:
+    def kernel_form(self) -> forms.PotentialForm:
         return Potential.kernel_form(self)
 
 
@@ -44,7 +43,7 @@ def test_derivatives_are_those_of_the_value(p: Potential) -> None:
 @pytest.mark.parametrize('p', [Formula(1.0, 1e-2, 5e-4, 2.0), *POTENTIALS[1:3]])
 def test_table_agrees_with_the_derivatives(p: Potential) -> None:
     r = EVERYWHERE
-    a, b = kernels.pair_terms(r**2, p.kernel_form())
+    a, b = forms.pair_terms(r**2, p.kernel_form())
     np.testing.assert_allclose(a * r, p.derivative(r), rtol=1e-8, atol=1e-9)
     # A cubic's own derivative is less exact by an order.
     exact = p.second_derivative(r) - p.derivative(r) / r
@@ -55,15 +54,15 @@ def test_table_hessian_is_the_derivative_of_its_slope() -> None:
     form = POTENTIALS[1].kernel_form()
     r2 = np.random.default_rng(0).uniform(1e-4, 4.0, 2000)
     h = 1e-6 * r2
-    slopes = [kernels.pair_terms(r2 + sign * h, form)[0] for sign in (1.0, -1.0)]
+    slopes = [forms.pair_terms(r2 + sign * h, form)[0] for sign in (1.0, -1.0)]
     expected = (slopes[0] - slopes[1]) / h  # twice the derivative
-    found = kernels.pair_terms(r2, form)[1]
+    found = forms.pair_terms(r2, form)[1]
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6 * abs(expected).max())
 
 
 def test_table_ends_without_a_jump() -> None:
     form = POTENTIALS[1].kernel_form()
-    a, _ = kernels.pair_terms(np.array([0.0, 1e-12, 1e6, 1e9, np.inf]), form)
+    a, _ = forms.pair_terms(np.array([0.0, 1e-12, 1e6, 1e9, np.inf]), form)
     assert np.isfinite(a).all()
     assert a[0] == pytest.approx(a[1])
     assert a[2] == pytest.approx(a[4], rel=1e-6)
@@ -118,7 +117,7 @@ def test_what_makes_no_potential_is_refused(make: Callable[[], object], message:
 def test_potential_that_is_not_finite_is_refused() -> None:
     @dataclass(frozen=True)
     class Coulomb(Morse):
-        def kernel_form(self) -> kernels.PotentialForm:
+        def kernel_form(self) -> forms.PotentialForm:
             return Potential.kernel_form(self)
 
         def derivative(self, r: Array) -> Array:

@@ -4,9 +4,8 @@ import math
 import numpy as np
 import pytest
 
-from herding_ros.model import kernels
 from herding_ros.model.crowd import CROWDS
-from herding_ros.model.potentials import Morse
+from herding_ros.model.potentials import forms, Morse
 from herding_ros.model.state import Array
 
 POTENTIALS = [each for crowd in CROWDS.values() for each in (crowd.sheep, crowd.dog)]
@@ -40,19 +39,19 @@ def test_exp_neg_keeps_the_bound_it_promises() -> None:
     worst = 0.0
     for x in arguments():
         exact = Decimal(float(x)).exp()
-        worst = max(worst, abs(float((Decimal(kernels.exp_neg(x)) - exact) / exact)))
+        worst = max(worst, abs(float((Decimal(forms.exp_neg(x)) - exact) / exact)))
     assert worst < 4e-16
 
 
 def test_exp_neg_agrees_with_numpy() -> None:
     x = arguments()
-    ours = np.array([kernels.exp_neg(each) for each in x])
+    ours = np.array([forms.exp_neg(each) for each in x])
     np.testing.assert_allclose(ours, np.exp(x), rtol=4e-16 + 2.3e-16)  # ours and one ulp
 
 
 def test_exp_neg_stays_positive_below_its_range() -> None:
-    last = kernels.exp_neg(-700.0)
-    assert [kernels.exp_neg(x) for x in (-700.1, -1e6, -math.inf)] == [last] * 3
+    last = forms.exp_neg(-700.0)
+    assert [forms.exp_neg(x) for x in (-700.1, -1e6, -math.inf)] == [last] * 3
     assert last == pytest.approx(math.exp(-700.0), rel=4e-16)
 
 
@@ -60,7 +59,7 @@ def test_exp_neg_stays_positive_below_its_range() -> None:
 @pytest.mark.parametrize('r', DISTANCES)
 def test_slope_is_the_derivative_of_the_potential(p: Morse, r: float) -> None:
     s = r * np.array([0.6, -0.8])
-    ours = kernels.slope_over_r(s @ s, p.coefficients) * s
+    ours = forms.slope_over_r(s @ s, p.coefficients) * s
     # Where attraction and repulsion cancel, round-off is relative to each of them.
     scale = p.repulsion / p.repulsion_length + p.attraction / p.attraction_length
     np.testing.assert_allclose(ours, gradient(s, p), rtol=1e-13, atol=1e-15 * scale)
@@ -72,16 +71,12 @@ def test_hessian_is_the_derivative_of_the_gradient(p: Morse, r: float) -> None:
     s, w = r * np.array([0.6, -0.8]), np.array([0.3, 1.1])
     h = 1e-5 * min(r, p.repulsion_length, p.attraction_length)
     expected = (gradient(s + h * w, p) - gradient(s - h * w, p)) / (2.0 * h)
-    a, b = kernels.hessian(s @ s, p.coefficients)
+    a, b = forms.hessian(s @ s, p.coefficients)
     scale = (p.repulsion / p.repulsion_length + p.attraction / p.attraction_length) / h
     np.testing.assert_allclose(a * w + b * (s @ w) * s, expected, rtol=1e-8, atol=1e-15 * scale)
 
 
 @pytest.mark.parametrize('p', POTENTIALS)
 def test_forces_at_zero_distance_are_zero(p: Morse) -> None:
-    assert kernels.slope_over_r(0.0, p.coefficients) == 0.0
-    assert kernels.hessian(0.0, p.coefficients) == (0.0, 0.0)
-
-
-def test_lanes_are_the_next_whole_vector() -> None:
-    assert [kernels.lanes(n) for n in (1, 7, 8, 9, 16, 17, 30)] == [8, 8, 8, 16, 16, 24, 32]
+    assert forms.slope_over_r(0.0, p.coefficients) == 0.0
+    assert forms.hessian(0.0, p.coefficients) == (0.0, 0.0)

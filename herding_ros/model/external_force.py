@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces on the sheep from the world, such as a fence's: one file for each.
+
+A new one is a class with `kernel_form`, and two functions of a sheep's place that are given to
+`register`. Rollouts, ensembles, adjoints and large flocks take it from there: kernels are
+compiled for the form that they meet, and without one to nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from hashlib import sha256
+import inspect
+from typing import Any, Protocol, runtime_checkable
+
+from numba import types
+from numba.core.cgutils import create_struct_proxy
+from numba.core.datamodel import models
+from numba.extending import (
+    make_attribute_wrapper,
+    NativeValue,
+    overload,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+
+from .jit import INLINED, inlined, OPTIONS
+from .parameters import Parameters
+from .state import Array
+
+_COMPILED: Any = {**OPTIONS, **INLINED}
+
+
+@dataclass(frozen=True)
+class Form:
+    """An external force in compiled code: which it is, and its numbers and arrays."""
+
+    key: str
+    values: tuple[Any, ...]
+
+
+ExternalForm = Form | tuple[()]
+"""(): no force."""
+
+
+@runtime_checkable
+class ExternalForce(Protocol):
+    """A force f(x) on each sheep [m/s^2] that depends on its place x alone."""
+
+    def kernel_form(self) -> ExternalForm:
+        """Return what the kernels need: the result of what `register` has returned."""
+
+
+@dataclass(frozen=True)
+class NoForce(Parameters):
+    """Nothing but sheep and dogs."""
+
+    def kernel_form(self) -> tuple[()]:
+        """Return the empty form."""
+        return ()
+
+
+def register(
+    name: str,
+    force_of: Callable[[float, float, Any], tuple[float, float]],
+    product_of: Callable[[float, float, float, float, Any], tuple[float, float]],
+) -> Callable[..., Form]:
+    """Return a function from numbers and arrays to the `Form` of the force with this name.
+
+    force_of(x, y, values) is f at (x, y) [m/s^2], with values the tuple of those numbers and
+    arrays. product_of(x, y, w_x, w_y, values) is minus the transposed derivative of f times w;
+    of a force with a potential, f = -grad W, that is the Hessian of W times w. Numba compiles
+    both.
+    """
+    # Numba's cache would not notice that they have changed, but it does notice a new type.
+    source = inspect.getsource(inspect.getmodule(force_of) or force_of)
+    key = f'{name} {sha256(source.encode()).hexdigest()[:16]}'
+    compiled_force, compiled_product = inlined(force_of), inlined(product_of)
+
+    @overload(_force, jit_options=_COMPILED)
+    def _choose_force(x, y, form):  # type: ignore[no-untyped-def]  # Numba compares annotations
+        if form.key_of_force == key:
+            return lambda x, y, form: compiled_force(x, y, form.values)
+        return None
+
+    @overload(_product, jit_options=_COMPILED)
+    def _choose_product(x, y, w_x, w_y, form):  # type: ignore[no-untyped-def]
+        if form.key_of_force == key:
+            return lambda x, y, w_x, w_y, form: compiled_product(x, y, w_x, w_y, form.values)
+        return None
+
+    return lambda *values: Form(key, values)
+
+
+class _FormType(types.Type):
+    """The type of a `Form` in compiled code."""
+
+    def __init__(self, key: str, values: types.Type) -> None:
+        self.key_of_force, self.values = key, values
+        super().__init__(f'Form({key}, {values})')
+
+
+@register_model(_FormType)
+class _FormModel(models.StructModel):
+    def __init__(self, manager: Any, of: _FormType) -> None:
+        super().__init__(manager, of, [('values', of.values)])
+
+
+make_attribute_wrapper(_FormType, 'values', 'values')
+
+
+@typeof_impl.register(Form)
+def _typeof_form(form: Form, context: Any) -> _FormType:
+    return _FormType(form.key, typeof_impl(form.values, context))
+
+
+@unbox(_FormType)
+def _unbox_form(of: _FormType, form: Any, context: Any) -> NativeValue:
+    values = context.pyapi.object_getattr_string(form, 'values')
+    unboxed = context.unbox(of.values, values)
+    struct = create_struct_proxy(of)(context.context, context.builder)
+    struct.values = unboxed.value
+    context.pyapi.decref(values)
+    return NativeValue(struct._getvalue(), is_error=unboxed.is_error, cleanup=unboxed.cleanup)
+
+
+def _force(x: float, y: float, form: Form) -> tuple[float, float]:
+    raise NotImplementedError('must be called from compiled code')
+
+
+def _product(x: float, y: float, w_x: float, w_y: float, form: Form) -> tuple[float, float]:
+    raise NotImplementedError('must be called from compiled code')
+
+
+def add_external_forces(ax: Array, ay: Array, x: Array, y: Array, form: ExternalForm) -> None:
+    """Add the force on each sheep to its acceleration; from compiled code."""
+    raise NotImplementedError('must be called from compiled code')
+
+
+def add_external_products(
+    hx: Array, hy: Array, x: Array, y: Array, mu_x: Array, mu_y: Array, form: ExternalForm
+) -> None:
+    """Add the product with mu of each sheep to h; from compiled code."""
+    raise NotImplementedError('must be called from compiled code')
+
+
+def add_external_products_of_sweeps(
+    hx: Array, hy: Array, x: Array, y: Array, mu_x: Array, mu_y: Array, sweeps: int,
+    form: ExternalForm,
+) -> None:  # fmt: skip
+    """Do so for several mu of each sheep, side by side in mu and h; from compiled code."""
+    raise NotImplementedError('must be called from compiled code')
+
+
+@overload(add_external_forces, jit_options=_COMPILED)
+def _add_forces(ax, ay, x, y, form):  # type: ignore[no-untyped-def]
+    def add(ax, ay, x, y, form):  # type: ignore[no-untyped-def]
+        for i in range(x.shape[0]):
+            fx, fy = _force(x[i], y[i], form)
+            ax[i] += fx
+            ay[i] += fy
+
+    return add if isinstance(form, _FormType) else lambda ax, ay, x, y, form: None
+
+
+@overload(add_external_products, jit_options=_COMPILED)
+def _add_products(hx, hy, x, y, mu_x, mu_y, form):  # type: ignore[no-untyped-def]
+    def add(hx, hy, x, y, mu_x, mu_y, form):  # type: ignore[no-untyped-def]
+        for i in range(x.shape[0]):
+            px, py = _product(x[i], y[i], mu_x[i], mu_y[i], form)
+            hx[i] += px
+            hy[i] += py
+
+    return add if isinstance(form, _FormType) else lambda hx, hy, x, y, mu_x, mu_y, form: None
+
+
+@overload(add_external_products_of_sweeps, jit_options=_COMPILED)
+def _add_products_of_sweeps(hx, hy, x, y, mu_x, mu_y, sweeps, form):  # type: ignore[no-untyped-def]
+    def add(hx, hy, x, y, mu_x, mu_y, sweeps, form):  # type: ignore[no-untyped-def]
+        for i in range(x.shape[0]):
+            for k in range(i * sweeps, (i + 1) * sweeps):
+                px, py = _product(x[i], y[i], mu_x[k], mu_y[k], form)
+                hx[k] += px
+                hy[k] += py
+
+    return (
+        add if isinstance(form, _FormType) else lambda hx, hy, x, y, mu_x, mu_y, sweeps, form: None
+    )
