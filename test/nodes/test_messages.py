@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages carry what was put in, and nothing that must not move a dog gets out.
 
 Foreign messages are written by rosbags, in both byte orders.
