@@ -90,18 +90,18 @@ class Horizon(Parameters):
             ratio = getattr(self, name) / self.control_period
             if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
                 raise ValueError(
-                    f'Horizon.{name} is {getattr(self, name)!r}, allowed is a multiple of '
-                    f'control_period, {self.control_period!r}'
+                    f'Horizon.{name} must be a multiple of control_period, '
+                    f'{self.control_period!r}, got {getattr(self, name)!r}'
                 )
         if self.intervals > MOST_INTERVALS:
             raise ValueError(
-                f'Horizon.length is {self.length!r}, allowed is at most {MOST_INTERVALS} times '
-                f'control_period, {self.control_period!r}'
+                f'Horizon.length must be at most {MOST_INTERVALS} times control_period, '
+                f'{self.control_period!r}, got {self.length!r}'
             )
         if self.accepted > self.length:
             raise ValueError(
-                f'Horizon.accepted is {self.accepted!r}, allowed is at most the length, '
-                f'{self.length!r}'
+                f'Horizon.accepted must be at most the length, {self.length!r}, '
+                f'got {self.accepted!r}'
             )
 
     @property

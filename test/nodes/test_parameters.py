@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every parameter of every node, by the services that `ros2 param` uses."""
 
 from __future__ import annotations
