@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The program `recover`: makes a bag readable whose recorder was killed, or that was damaged."""
 
 from __future__ import annotations
@@ -7,22 +8,25 @@ from pathlib import Path
 import sys
 
 from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import Progress
 
+from .inspection import Inspection
 from .metadata import all_topics, FILE_NAME
-from .recovery import recover, Recovery, Result
+from .recovery import BROKEN, recover, Recovery
 
 _DESCRIPTION = """\
 Make a rosbag2 bag in mcap readable that has no end, since its recorder was killed or the power
-failed, or that was damaged. Everything is kept that is whole, and metadata.yaml is written anew.
+failed, or that was damaged. What is whole is kept, and metadata.yaml is written anew.
 
-A data file that is whole is left alone. One that is not is copied as far as it is whole, and then
-kept as NAME.mcap.broken: delete that when you are content. So the disk needs room for a copy.
-Nothing is ever overwritten, and nothing outside of BAG is touched.
+A data file that is whole is left alone. One that is not is copied up to where its records end,
+without the chunks that are damaged, and then kept as NAME.mcap.broken: delete that when you are
+content. So the disk needs room for a copy. Nothing is ever overwritten, and nothing outside of
+BAG is touched.
 """
 
 _EPILOG = """\
-Exit code: 0 the bag is whole now, or was; 2 it is no bag, is being recorded or cannot be written.
+Exit code: 0 the bag is whole now, or was; 2 it is not a bag, is being recorded or cannot be
+written.
 Bags of `ros2 bag record -s mcap` are recovered too, those in sqlite3 are not.
 Example: recover runs/2025-01-31_12-00-00/bag
 """
@@ -50,28 +54,13 @@ def main(args: list[str] | None = None) -> int:
 def _recover(folder: Path) -> Recovery:
     """Recover a bag; on a terminal a bar shows how far it is."""
     console = Console(stderr=True)
-    bar = Progress(
-        TextColumn('{task.description}'),
-        BarColumn(),
-        DownloadColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-    with bar:
-        task = bar.add_task('')
-        return recover(
-            folder,
-            lambda what, size, done: bar.update(
-                task, description=what, completed=done, total=size
-            ),
-        )
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        return recover(folder, lambda path: bar.open(path, 'rb', description=path.name))
 
 
 def _in_words(folder: Path, recovery: Recovery) -> str:
-    files = [result.information for result in recovery.results]
-    lines = [_line(result) for result in recovery.results]
+    files = [file.information for file in recovery.files]
+    lines = [_line(file) for file in recovery.files]
     count = sum(file.message_count for file in files)
     total = f'{count} messages of {len(all_topics(files))} topics'
     if recovery.was_whole:
@@ -83,18 +72,15 @@ def _in_words(folder: Path, recovery: Recovery) -> str:
     return '\n'.join(lines)
 
 
-def _line(result: Result) -> str:
-    name, count = result.information.path, result.information.message_count
-    if result.kept is None:
+def _line(file: Inspection) -> str:
+    name, count = file.path.name, file.information.message_count
+    if not file.faults:
         return f'{name}: whole, {count} messages'
-    lost = f'{result.lost_bytes} bytes'
-    if result.lost_messages:
-        lost += f' and {result.lost_messages} messages whose topics were in them'
-    lines = [
-        f'{name}: {count} messages recovered, lost {lost}; as it was it is {result.kept.name}',
-        *(f'    {fault}' for fault in result.faults),
-    ]
-    return '\n'.join(lines)
+    lost = f'{file.lost_bytes} bytes'
+    if file.lost_messages:
+        lost += f' and {file.lost_messages} messages whose topics were in them'
+    recovered = f'{count} messages recovered, lost {lost}; the original is {name}{BROKEN}'
+    return '\n'.join([f'{name}: {recovered}', *(f'    {fault}' for fault in file.faults)])
 
 
 if __name__ == '__main__':

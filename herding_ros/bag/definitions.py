@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The text of a message type with those of all types it uses, as a bag keeps it."""
 
 from __future__ import annotations

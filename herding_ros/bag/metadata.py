@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The metadata of a rosbag2 bag, version 9: one YAML map, kept in two places.
 
 rosbag2 writes the same map to `metadata.yaml` beside the data and into the data files themselves,
@@ -12,7 +13,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import Any
 
-import yaml
+from mcap.records import Channel, Schema
+
+from .plain_yaml import from_yaml, to_yaml
 
 VERSION = 9
 """From this version on, policies are written by name and offered profiles as a sequence."""
@@ -29,8 +32,22 @@ RECORD_NAME = 'rosbag2'
 RECORD_KEY = 'serialized_metadata'
 """Key of such a record under which the map is, as YAML."""
 
+PROFILES_KEY = 'offered_qos_profiles'
+"""Key of a channel's QoS profiles, as YAML."""
+
 ROS_DISTRO = 'jazzy'
 """Release of ROS 2 whose format and messages are written."""
+
+_POLICIES = {
+    'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
+    'reliability': ('system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
+    'durability': ('system_default', 'transient_local', 'volatile', 'unknown', 'best_available'),
+    'liveliness': (
+        *('system_default', 'automatic', 'manual_by_node', 'manual_by_topic'),
+        *('unknown', 'best_available'),
+    ),
+}
+"""Names of the policies by their numbers, which the releases before Jazzy wrote."""
 
 
 @dataclass
@@ -67,6 +84,38 @@ class FileInformation:
         self.last_ns = log_time_ns if first else max(self.last_ns, log_time_ns)
         self.message_count += 1
         self.topics[topic].message_count += 1
+
+
+def topic_information(channel: Channel, schema: Schema) -> TopicInformation:
+    """Return a topic by its records in a data file; its messages are not counted."""
+    profiles = offered_profiles(channel, strict=False)
+    type_hash = channel.metadata.get('topic_type_hash', '')
+    return TopicInformation(channel.topic, schema.name, profiles, type_hash)
+
+
+def offered_profiles(channel: Channel, strict: bool = True) -> list[dict[str, Any]]:
+    """Return the QoS profiles of a topic, with policies by name.
+
+    When they cannot be read: raises ValueError, or returns none if not `strict`.
+    """
+    try:
+        profiles = from_yaml(channel.metadata.get(PROFILES_KEY, '')) or []
+        if not (isinstance(profiles, list) and all(isinstance(each, dict) for each in profiles)):
+            raise ValueError('QoS profiles must be a list of maps')
+    except ValueError:
+        if strict:
+            raise
+        return []
+    return [_named(profile) for profile in profiles]
+
+
+def _named(profile: dict[str, Any]) -> dict[str, Any]:
+    """Return a QoS profile with its policies by name."""
+    for policy, names in _POLICIES.items():
+        number = profile.get(policy)
+        if isinstance(number, int):
+            profile[policy] = names[number] if 0 <= number < len(names) else 'unknown'
+    return profile
 
 
 def all_topics(files: Sequence[FileInformation]) -> dict[str, TopicInformation]:
@@ -134,31 +183,6 @@ def _times(first_ns: int, last_ns: int) -> dict[str, dict[str, int]]:
     }
 
 
-class _Dumper(yaml.CSafeDumper):
-    """Writes an object that occurs twice twice: rosbag2's readers expect no aliases."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def to_yaml(data: Any) -> str:
-    """Return data as YAML in block style, keys in their order, no line ever folded."""
-    return yaml.dump(
-        data, Dumper=_Dumper, default_flow_style=False, sort_keys=False, width=2**31 - 1
-    )
-
-
-def from_yaml(text: str) -> Any:
-    """Return plain data from YAML: maps, lists, texts and numbers, whatever the text asks for.
-
-    Raises ValueError when it asks for more, or is no YAML.
-    """
-    try:
-        return yaml.safe_load(text)  # not in C: that crashes on text nested 100,000 deep
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ValueError(str(error)) from error
-
-
 def write_metadata(folder: Path, content: Mapping[str, Any]) -> None:
     """Write a bag's map to its metadata.yaml, which appears only when complete.
 
@@ -172,7 +196,7 @@ def write_metadata(folder: Path, content: Mapping[str, Any]) -> None:
 
 
 def advice(folder: Path) -> str:
-    """Say what to do about a bag that is not whole."""
+    """Return what to do about a bag that is not whole."""
     return f'recover it by `ros2 run herding_ros recover {folder}`'
 
 
@@ -180,18 +204,18 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     """Return the map of a bag.
 
     Raises FileNotFoundError when there is none or the bag has a data file that is not in it,
-    ValueError when it cannot be understood.
+    ValueError when it does not describe a bag.
     """
     file = folder / FILE_NAME
-    if not file.is_file():
+    if file.is_symlink() or not file.is_file():
         if any(folder.glob('*.mcap')):
             raise FileNotFoundError(
                 f'{folder} has not been closed: there is no {FILE_NAME}; {advice(folder)}'
             )
-        raise FileNotFoundError(f'{folder} is no bag: there is no {FILE_NAME}')
+        raise FileNotFoundError(f'{folder} is not a bag: there is no {FILE_NAME}')
     try:
         content = dict(from_yaml(file.read_text(encoding='utf-8'))[ROOT_KEY])
-        listed = {PurePath(path).name for path in content['relative_file_paths']}
+        listed = file_names(content)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f'{file} does not describe a bag: {error}') from error
     unlisted = sorted(path.name for path in folder.glob('*.mcap') if path.name not in listed)
@@ -201,3 +225,18 @@ def read_metadata(folder: Path) -> dict[str, Any]:
             f'{advice(folder)}'
         )
     return content
+
+
+def file_names(content: Mapping[str, Any]) -> list[str]:
+    """Return the names of the data files in a bag's map.
+
+    The folders in their paths do not count: a bag is read from its own folder and nowhere else.
+    Raises KeyError or TypeError when they are not there.
+    """
+    return [PurePath(path).name for path in content['relative_file_paths']]
+
+
+def string_map(content: object) -> dict[str, str]:
+    """Return custom data as strings, nothing if it is not a map."""
+    items = content.items() if isinstance(content, Mapping) else ()
+    return {str(key): str(value) for key, value in items}

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One data file of a bag, in mcap, that can be completed even when the disk is full."""
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from .metadata import FileInformation, RECORD_KEY, RECORD_NAME, to_yaml, TopicInformation
-from .scan import MOST_BYTES
+from .metadata import FileInformation, RECORD_KEY, RECORD_NAME, TopicInformation
+from .plain_yaml import to_yaml
+from .records import MOST_BYTES
 
 CHUNK_SIZE = 64 * 1024
 """Size of a chunk with its index [byte]. A kill loses the chunk being filled, so it is small."""
@@ -109,14 +111,15 @@ class PartWriter:
         """Append one message, see `BagWriter.write`."""
         size = len(data) + _MESSAGE
         if size > LARGEST_MESSAGE:
-            raise ValueError(f'it has {len(data)} bytes, allowed are {LARGEST_MESSAGE - _MESSAGE}')
+            most = LARGEST_MESSAGE - _MESSAGE
+            raise ValueError(f'a message must have at most {most} bytes, got {len(data)}')
         if (
             min(log_time_ns, publish_time_ns) < 0
             or max(log_time_ns, publish_time_ns) > LAST_TIME_NS
         ):
             raise ValueError(
-                f'its times are {log_time_ns} and {publish_time_ns} ns, '
-                f'allowed are 0 to {LAST_TIME_NS}'
+                f'the times of a message must be 0 to {LAST_TIME_NS} ns, '
+                f'got {log_time_ns} and {publish_time_ns}'
             )
         if self._written + self._chunk + self._index + size > self._reserved:
             self._reserve(size)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading a recorded run back, without rclpy: `read_run(bag)`.
 
 It reads our bags and those of a stock `ros2 bag record`, mcap or sqlite3.
@@ -20,10 +21,10 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
 from rosbags.typesys import get_typestore, Stores
 
+from ..point_cloud import points
 from .inspection import inspect
 from .metadata import advice, read_metadata
-from .point_cloud import points
-from .run import Array, Replan, Run, Topic
+from .recorded_run import Array, RecordedRun, Replan, Topic
 
 PLAN_STATUS = 'controller: plan'
 """Name of the diagnostic status that tells of a replan."""
@@ -32,7 +33,7 @@ Series = list[tuple[int, Any]]
 """The messages of a topic with their stamps [ns], which never decrease."""
 
 
-def read_run(path: str | os.PathLike[str]) -> Run:
+def read_run(path: str | os.PathLike[str]) -> RecordedRun:
     """Read the bag in the folder `path`.
 
     The states are the true ones where they were recorded, else the observed. When the sim was
@@ -77,7 +78,7 @@ def _files(folder: Path, metadata: dict[str, Any]) -> list[Path]:
     return [folder / PurePath(path).name for path in metadata['relative_file_paths']]
 
 
-def _read(reader: AnyReader, folder: Path, metadata: dict[str, Any]) -> Run:
+def _read(reader: AnyReader, folder: Path, metadata: dict[str, Any]) -> RecordedRun:
     names = sorted(reader.topics)
     sheep = next((name for name in ('/truth/sheep', '/sheep') if name in names), None)
     dogs = _of_each_dog(names, '/truth', 'odom') or _of_each_dog(names, '', 'odom')
@@ -97,7 +98,7 @@ def _read(reader: AnyReader, folder: Path, metadata: dict[str, Any]) -> Run:
     start = series[sheep][0][0]
     times, x, v = _flock(series[sheep], start)
     command_times, commands = _commands([series[topic] for topic in told], start)
-    return Run(
+    return RecordedRun(
         times=times,
         x=x,
         v=v,

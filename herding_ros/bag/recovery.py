@@ -1,46 +1,37 @@
-"""Making a bag whole again that was cut off or damaged: what is whole in it is copied."""
+# SPDX-License-Identifier: Apache-2.0
+"""Making a bag whole that was cut off or damaged: what is whole in it is copied."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import fcntl
-from functools import partial
+import json
 import os
-from pathlib import Path, PurePath
+from pathlib import Path
 import re
-from typing import Any
+from typing import Any, BinaryIO
 
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    DataEnd,
-    McapRecord,
-    Message,
-    Metadata,
-    Schema,
-)
+from mcap.records import Attachment, Chunk, DataEnd, McapRecord, Message, Metadata
 from mcap.writer import CompressionType, Writer
 
-from .inspection import inspect, Inspection, topic_information
+from .inspection import inspect, Inspection, Open, open_file
 from .metadata import (
     bag_map,
     FILE_NAME,
-    FileInformation,
-    from_yaml,
+    offered_profiles,
+    PROFILES_KEY,
     read_metadata,
     RECORD_KEY,
     RECORD_NAME,
     ROS_DISTRO,
-    to_yaml,
+    string_map,
+    VERSION,
     write_metadata,
 )
-from .scan import records_of, whole_records
-
-Progress = Callable[[str, int, int], None]
-"""Is told what is being done to how many bytes, and how many are done."""
+from .plain_yaml import from_yaml, to_yaml
+from .records import DamageError, records, records_in
 
 BROKEN = '.broken'
 """What the name of a file ends with that was replaced by a whole one."""
@@ -51,69 +42,49 @@ _COMPRESSIONS = {'lz4': CompressionType.LZ4, 'zstd': CompressionType.ZSTD}
 
 
 @dataclass(frozen=True)
-class Result:
-    """What became of one data file.
+class Recovery:
+    """What became of a bag.
 
-    faults: what was wrong with it, nothing if it was whole and left alone; lost_bytes: of the
-    broken one that were of no use; lost_messages: those whose topic is nowhere in the file; kept:
-    where the broken one is now.
+    files: what was found in the data files, in their order; those with faults were replaced;
+    new_metadata: whether metadata.yaml is new.
     """
 
-    information: FileInformation
-    faults: Sequence[str] = ()
-    lost_bytes: int = 0
-    lost_messages: int = 0
-    kept: Path | None = None
-
-
-@dataclass(frozen=True)
-class Recovery:
-    """What became of a bag: its files, in their order, and whether metadata.yaml is new."""
-
-    results: Sequence[Result]
+    files: Sequence[Inspection]
     new_metadata: bool
 
     @property
     def was_whole(self) -> bool:
         """Whether there was nothing to do."""
-        return not self.new_metadata and not any(result.faults for result in self.results)
+        return not self.new_metadata and not any(file.faults for file in self.files)
 
 
-def recover(folder: Path, progress: Progress = lambda what, size, done: None) -> Recovery:
+def recover(folder: Path, opening: Open = open_file) -> Recovery:
     """Make the bag in a folder whole, in bounded memory. Nothing in it is ever overwritten.
 
-    A data file that is not whole is copied as far as it is, and then keeps its content under a
-    name that ends with `.broken`. Links are not followed, and nothing outside of the folder is
-    read or written.
+    A data file that is not whole is copied up to where its records end, without the chunks that
+    are damaged, and then keeps its content under a name that ends with `.broken`. Links are not
+    followed, and nothing outside of the folder is read or written.
 
-    Raises ValueError when the folder holds no bag in mcap, or one that is being recorded, and
-    OSError when it cannot be read or written.
+    Raises ValueError when the folder does not hold a bag in mcap, or one that is being recorded,
+    and OSError when it cannot be read or written.
     """
-    inspections = [
-        inspect(path, partial(progress, f'reading {path.name}', path.stat().st_size))
-        for path in _data_files(folder)
-    ]
+    files = [inspect(path, opening) for path in _data_files(folder)]
     try:
         old = read_metadata(folder)
     except (FileNotFoundError, ValueError):
         old = {}
-    broken = [one.path for one in inspections if one.faults]
-    _check_names_are_free([*broken, folder / FILE_NAME] if broken else [])
-    keeping = _Keeping.of(inspections, old)
-    results: list[Result] = []
-    for one in inspections:
-        earlier = [result.information for result in results]
-        results.append(
-            _rewrite(one, earlier, keeping, progress) if one.faults else Result(one.information())
-        )
-    content = keeping.bag_map([result.information for result in results])
-    is_new = not _is_same(old, content)
+    broken = [file for file in files if file.faults]
+    _check_names_are_free([*(file.path for file in broken), folder / FILE_NAME] if broken else [])
+    content = _bag_map(files, old)
+    for file in broken:
+        _rewrite(file, to_yaml(content), opening)
+    is_new = not _describes_the_same(old, content)
     if is_new:
         if (folder / FILE_NAME).exists():
             _check_names_are_free([folder / FILE_NAME])
             _keep(folder / FILE_NAME)
         write_metadata(folder, content)
-    return Recovery(results, is_new)
+    return Recovery(files, is_new)
 
 
 def _data_files(folder: Path) -> list[Path]:
@@ -127,22 +98,22 @@ def _data_files(folder: Path) -> list[Path]:
             broken.rename(original)
     paths = sorted(folder.glob('*.mcap'), key=_number)
     if not paths:
-        raise ValueError(f'{folder} is no bag in mcap: it has no .mcap file')
+        raise ValueError(f'{folder} is not a bag in mcap: it has no .mcap file')
     for path in paths:
         if path.is_symlink() or not path.is_file():
-            raise ValueError(f'{path} is no file but leads elsewhere; recover the bag there')
+            raise ValueError(f'{path} must be a file in the bag; recover the bag that it is in')
         with path.open('rb') as stream:
             try:
                 fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise ValueError(f'{path} is being recorded; end the recorder first') from None
-            except OSError:  # a disk that knows no locks
+            except OSError:  # a disk without locks
                 pass
     return paths
 
 
 def _number(path: Path) -> tuple[int, str]:
-    match = re.search(r'_([0-9]+)\.mcap$', path.name)
+    match = re.search(r'_([0-9]{1,9})\.mcap$', path.name)
     return (int(match[1]) if match else -1), path.name
 
 
@@ -153,83 +124,113 @@ def _check_names_are_free(paths: Sequence[Path]) -> None:
             raise FileExistsError(f'{kept} exists already and is not overwritten; move it away')
 
 
-@dataclass(frozen=True)
-class _Keeping:
-    """What of a bag's metadata its data files do not tell by themselves."""
+def _bag_map(files: Sequence[Inspection], old: dict[str, Any]) -> dict[str, Any]:
+    """Return the map of a bag of these files.
 
-    custom_data: dict[str, str]
-    ros_distro: str
-    compression: tuple[str, str]
-
-    @classmethod
-    def of(cls, files: Sequence[Inspection], old: dict[str, Any]) -> _Keeping:
-        """Return what the last map says that is kept in a file, or else metadata.yaml."""
-        for text in [file.metadata for file in reversed(files) if file.metadata]:
-            with suppress(TypeError, ValueError):
-                return cls._in(dict(from_yaml(text)))
+    What does not follow from their records is taken from the last map that is kept in a file, or
+    else from the old metadata.yaml.
+    """
+    said = old
+    for file in files:
         with suppress(TypeError, ValueError):
-            return cls._in(old)
-        return cls._in({})
-
-    @classmethod
-    def _in(cls, content: dict[str, Any]) -> _Keeping:
-        custom_data = dict(content.get('custom_data') or {})
-        return cls(
-            {str(key): str(value) for key, value in custom_data.items()},
-            str(content.get('ros_distro') or ROS_DISTRO),
-            (
-                str(content.get('compression_format') or ''),
-                str(content.get('compression_mode') or ''),
-            ),
-        )
-
-    def bag_map(self, files: Sequence[FileInformation]) -> dict[str, Any]:
-        return bag_map(files, self.custom_data, self.ros_distro, self.compression)
-
-
-def _is_same(old: dict[str, Any], new: dict[str, Any]) -> bool:
-    """Whether two maps list the same files with as many messages."""
-    names = [PurePath(path).name for path in old.get('relative_file_paths', [])]
-    return names == new['relative_file_paths'] and old.get('message_count') == new['message_count']
+            said = dict(from_yaml(file.metadata)) if file.metadata else said
+    hashes: dict[str, str] = {}
+    with suppress(AttributeError, KeyError, TypeError):
+        for each in said['topics_with_message_count']:
+            topic = each['topic_metadata']
+            hashes[topic['name']] = str(topic.get('type_description_hash', ''))
+    listed = [file.information for file in files]
+    for topic in [topic for file in listed for topic in file.topics.values()]:
+        topic.type_hash = topic.type_hash or hashes.get(topic.name, '')
+    keys = ('compression_format', 'compression_mode')
+    return bag_map(
+        listed,
+        string_map(said.get('custom_data')),
+        str(said.get('ros_distro') or ROS_DISTRO),
+        (str(said.get(keys[0]) or ''), str(said.get(keys[1]) or '')),
+    )
 
 
-def _rewrite(
-    broken: Inspection, earlier: Sequence[FileInformation], keeping: _Keeping, progress: Progress
-) -> Result:
+def _describes_the_same(old: dict[str, Any], new: dict[str, Any]) -> bool:
+    """Whether a map says what the new one says.
+
+    Those of versions before this one have other words for the same; of them it is enough that
+    they list the same files with as many messages.
+    """
+    if old.get('version') == VERSION:
+        return _in_order(old) == _in_order(new)
+    keys = ('storage_identifier', 'relative_file_paths', 'message_count', 'starting_time')
+    return old.get('version') in range(1, VERSION) and all(old.get(k) == new[k] for k in keys)
+
+
+def _in_order(content: dict[str, Any]) -> dict[str, Any]:
+    """Return a map with its topics in the order of their names, each as JSON."""
+    topics = content.get('topics_with_message_count') or []
+    in_order = sorted(json.dumps(topic, sort_keys=True) for topic in topics)
+    return {**content, 'topics_with_message_count': in_order}
+
+
+def _rewrite(file: Inspection, metadata: str, opening: Open) -> None:
     """Replace a file by a copy of what is whole in it."""
-    path = broken.path
-    unfinished = path.with_name(path.name + _PARTIAL)
+    unfinished = file.path.with_name(file.path.name + _PARTIAL)
     with _new_file(unfinished) as target:
         mcap = Writer(
             target,
             chunk_size=_CHUNK_SIZE,
-            compression=_COMPRESSIONS.get(broken.compression, CompressionType.NONE),
+            compression=_COMPRESSIONS.get(file.compression, CompressionType.NONE),
         )
-        mcap.start(profile=broken.profile, library='herding_ros recover')
-        copy = _Copy(mcap, broken)
-        size = path.stat().st_size
-        with path.open('rb') as source:
-            for _, end, record in whole_records(source, []):
-                if isinstance(record, DataEnd):
-                    break
-                for each in records_of(record, []) if isinstance(record, Chunk) else (record,):
-                    copy.add(each)
-                progress(f'copying {path.name}', size, end)
-        copy.add_topics()
-        content = keeping.bag_map([*earlier, copy.information])
-        mcap.add_metadata(RECORD_NAME, {RECORD_KEY: to_yaml(content)})
+        mcap.start(profile=file.profile, library='herding_ros recover')
+        with opening(file.path) as source:
+            _copy(file, source, mcap)
+        mcap.add_metadata(RECORD_NAME, {RECORD_KEY: metadata})
         mcap.finish()
         target.flush()
         os.fsync(target.fileno())
-    kept = _keep(path)
-    unfinished.rename(path)
-    return Result(
-        copy.information,
-        broken.faults,
-        broken.lost_bytes,
-        copy.lost,
-        kept,
-    )
+    _keep(file.path)
+    unfinished.rename(file.path)
+
+
+def _copy(file: Inspection, source: BinaryIO, mcap: Writer) -> None:
+    """Copy what is whole in a data section."""
+    schemas = {
+        number: mcap.register_schema(schema.name, schema.encoding, schema.data)
+        for number, schema in file.schemas.items()
+    }
+    channels = {
+        number: mcap.register_channel(
+            channel.topic,
+            channel.message_encoding,
+            schemas[channel.schema_id],
+            {**channel.metadata, PROFILES_KEY: to_yaml(offered_profiles(channel, strict=False))},
+        )
+        for number, channel in file.known_channels.items()
+    }
+    for record in _whole_records(source):
+        if isinstance(record, Message) and record.channel_id in channels:
+            mcap.add_message(
+                *(channels[record.channel_id], record.log_time, record.data),
+                *(record.publish_time, record.sequence),
+            )
+        elif isinstance(record, Metadata) and record.name != RECORD_NAME:
+            mcap.add_metadata(record.name, record.metadata)
+        elif isinstance(record, Attachment):
+            mcap.add_attachment(
+                *(record.create_time, record.log_time, record.name),
+                *(record.media_type, record.data),
+            )
+
+
+def _whole_records(source: BinaryIO) -> Iterator[McapRecord]:
+    """Yield the records of a data section up to the damage, those of whole chunks one by one."""
+    with suppress(DamageError):
+        for _, _, record in records(source):
+            if isinstance(record, DataEnd):
+                return
+            if isinstance(record, Chunk):
+                with suppress(DamageError):
+                    yield from [found.record for found in records_in(record)]
+            else:
+                yield record
 
 
 @contextmanager
@@ -244,73 +245,5 @@ def _new_file(path: Path) -> Iterator[Any]:
             raise
 
 
-def _keep(path: Path) -> Path:
-    kept = path.with_name(path.name + BROKEN)
-    path.rename(kept)
-    return kept
-
-
-class _Copy:
-    """Takes the records of a file, and writes them into another one."""
-
-    def __init__(self, mcap: Writer, source: Inspection) -> None:
-        self.information = FileInformation(source.path.name)
-        self.lost = 0
-        self._mcap = mcap
-        self._schemas = dict(source.schemas)
-        self._channels = dict(source.channels)
-        self._new_schemas: dict[int, int] = {}  # number there -> number here
-        self._new_channels: dict[int, tuple[int, str]] = {}  # number there -> here, topic
-
-    def add(self, record: McapRecord) -> None:
-        if isinstance(record, Schema):
-            self._schemas.setdefault(record.id, record)
-        elif isinstance(record, Channel):
-            self._channels.setdefault(record.id, record)
-        elif isinstance(record, Message):
-            self._add_message(record)
-        elif isinstance(record, Metadata) and record.name != RECORD_NAME:
-            self._mcap.add_metadata(record.name, record.metadata)
-        elif isinstance(record, Attachment):
-            self._mcap.add_attachment(
-                record.create_time, record.log_time, record.name, record.media_type, record.data
-            )
-
-    def add_topics(self) -> None:
-        """Add those without messages as well."""
-        for number in self._channels:
-            self._channel(number)
-
-    def _add_message(self, message: Message) -> None:
-        channel = self._channel(message.channel_id)
-        if channel is None:
-            self.lost += 1
-            return
-        number, topic = channel
-        self._mcap.add_message(
-            number, message.log_time, message.data, message.publish_time, message.sequence
-        )
-        self.information.count(topic, message.log_time)
-
-    def _channel(self, number: int) -> tuple[int, str] | None:
-        """Return the number and the topic of a channel here; None if it is unknown."""
-        if number in self._new_channels:
-            return self._new_channels[number]
-        channel = self._channels.get(number)
-        schema = self._schemas.get(channel.schema_id) if channel else None
-        if channel is None or schema is None:
-            return None
-        if schema.id not in self._new_schemas:
-            self._new_schemas[schema.id] = self._mcap.register_schema(
-                schema.name, schema.encoding, schema.data
-            )
-        new = self._mcap.register_channel(
-            channel.topic,
-            channel.message_encoding,
-            self._new_schemas[schema.id],
-            channel.metadata,
-        )
-        topic = topic_information(channel, schema)
-        self.information.topics.setdefault(topic.name, topic)
-        self._new_channels[number] = new, topic.name
-        return self._new_channels[number]
+def _keep(path: Path) -> None:
+    path.rename(path.with_name(path.name + BROKEN))

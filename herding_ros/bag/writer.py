@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writing a rosbag2 bag that a stock ROS 2 Jazzy lists, plays and reindexes."""
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from .metadata import (
     all_topics,
     bag_map,
     FileInformation,
-    to_yaml,
     TopicInformation,
     write_metadata,
 )
 from .part import PartWriter
+from .plain_yaml import to_yaml
 
 
 class BagWriter:

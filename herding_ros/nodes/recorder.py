@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder node: every topic of the graph, as it is on the wire, into a rosbag2 bag.
 
 A lockstep run brings 10,000 messages a second, too many for rclpy's executor. So that serves
@@ -7,10 +8,8 @@ subscriptions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from importlib import import_module
+from collections.abc import Callable
 import json
-from operator import attrgetter
 from pathlib import Path
 import signal
 import sys
@@ -28,25 +27,23 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from std_srvs.srv import Trigger
 
 from .. import __version__
-from ..bag.definitions import message_definition
 from ..bag.metadata import advice
-from ..bag.part import LAST_TIME_NS
 from ..bag.writer import BagWriter
 from .herding_node import HerdingNode
+from .log_clock import LogClock
 from .parameter_query import ParameterQuery
 from .publishing import CLOCK
+from .recorded_topics import NewTopic, RecordedTopics
 from .refusals import Refused
 from .running import start_ros
 from .signals import ignore_signals
-from .tap import Received, Tap
-from .topic_qos import adapted_qos, asks_more, qos_map
-from .wire import Reader
+from .tap import Received
 
 TAKE_PERIOD = 0.02
 """Time between two rounds over the subscriptions [s]."""
 
 GRAPH_PERIOD = 0.1
-"""Time between two looks at the graph for new topics, publishers and nodes [s]."""
+"""Time between two searches of the graph for new topics, publishers and nodes [s]."""
 
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two messages on /diagnostics [s]."""
@@ -60,15 +57,12 @@ With `TAKE_PERIOD` before it and a round in which it falls due, a kill costs les
 LAST_MESSAGES = 0.05
 """Time in which messages published before the end arrive [s]."""
 
-DEPTH = 10_000
-"""Messages that a subscription holds between two rounds: by far more than a burst brings."""
-
 
 class Recorder(HerdingNode):
     """Records topics into a bag from the moment they appear.
 
-    When the disk refuses, it closes the bag and goes on as if paused, for good: who publishes
-    does not notice, and who looks at /diagnostics does.
+    When the disk refuses, it closes the bag and goes on as if paused, for good: publishers do not
+    notice, /diagnostics says it.
     """
 
     _bag: BagWriter
@@ -94,14 +88,11 @@ class Recorder(HerdingNode):
             'Time after which the bag goes on in another file; 0: never. [s]',
         )
         self._chosen = {topic for topic in topics if topic}
-        self._taps: dict[str, Tap] = {}
-        self._told: set[str] = set()  # topics that cannot be recorded, or not all of them
+        self._topics = RecordedTopics(self, self._is_wanted, self._add_topic)
         self._queries: dict[str, ParameterQuery] = {}
         self._parameters_of: dict[str, dict[str, Any]] = {}
         self._waiting: list[Received] = []  # for the first /clock
-        self._for_next_round: list[Received] = []
-        self._clock_ns: int | None = None  # the last /clock
-        self._sim_time_ns = 0
+        self._log_clock = LogClock()
         self._bytes = 0
         self._lost = 0
         self._paused = False
@@ -124,23 +115,23 @@ class Recorder(HerdingNode):
         self._bag = bag
         self._keep_custom_data()
         wall = Clock(clock_type=ClockType.STEADY_TIME)  # goes on while the sim's clock stands
-        self.create_timer(GRAPH_PERIOD, self._look_at_graph, clock=wall)
+        self.create_timer(GRAPH_PERIOD, self._search_graph, clock=wall)
         self.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=wall)
         executor = SingleThreadedExecutor()
         executor.add_node(self)
-        self._look_at_graph()
+        self._search_graph()
         flushed = time.monotonic()
         while not stop.is_set():
             time.sleep(TAKE_PERIOD)
             executor.spin_once(timeout_sec=0.0)
-            self._write(self._take_all())
+            self._write(self._topics.take())
             if time.monotonic() > flushed + FLUSH_PERIOD:
                 flushed = time.monotonic()
                 self._attempt(bag.flush)
         time.sleep(LAST_MESSAGES)
-        self._write([*self._take_all(), *self._for_next_round])
+        self._write(self._topics.take_last())
         self._attempt(self._write_waiting)
-        self._count_lost()
+        self._lost += self._topics.take_lost()
         self._attempt(bag.close)
         return not self._failure
 
@@ -160,16 +151,16 @@ class Recorder(HerdingNode):
             self.get_logger().fatal(f'stopped recording into {self._bag.path}: {error}; {rest}')
 
     def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._write(self._take_all())  # what came before
+        self._write(self._topics.take())  # what came before
         self._paused = True
-        return self._answer(response)
+        return self._reply(response)
 
     def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._write(self._take_all())  # so that it is passed over
+        self._write(self._topics.take())  # so that it is passed over
         self._paused = False
-        return self._answer(response)
+        return self._reply(response)
 
-    def _answer(self, response: Trigger.Response) -> Trigger.Response:
+    def _reply(self, response: Trigger.Response) -> Trigger.Response:
         response.success = not self._failure
         response.message = self._state
         return response
@@ -180,10 +171,8 @@ class Recorder(HerdingNode):
             return f'stopped: {self._failure}'
         return 'paused' if self._paused else 'recording'
 
-    def _look_at_graph(self) -> None:
-        for topic, types in self.get_topic_names_and_types():
-            if topic not in self._told and self._is_wanted(topic):
-                self._follow(topic, types)
+    def _search_graph(self) -> None:
+        self._write(self._topics.discover())
         for name, namespace in self.get_node_names_and_namespaces():
             full_name = f'{namespace.rstrip("/")}/{name}'
             if full_name not in self._parameters_of and full_name not in self._queries:
@@ -210,54 +199,8 @@ class Recorder(HerdingNode):
         custom_data = {'herding_ros_version': __version__, 'parameters': parameters}
         self._attempt(lambda: self._bag.set_custom_data(custom_data))
 
-    def _follow(self, topic: str, types: Sequence[str]) -> None:
-        """Subscribe to a new topic, or anew to one whose new publisher offers less."""
-        publishers = self.get_publishers_info_by_topic(topic)
-        if not publishers:
-            return
-        tap = self._taps.get(topic)
-        if len(types) > 1:
-            self._told.add(topic)
-            what = 'is not recorded' if tap is None else 'is recorded as the first that was there'
-            self.get_logger().warning(f'{topic} has several types, {", ".join(types)}: it {what}')
-            return
-        qos = adapted_qos(publishers, DEPTH)
-        if tap is None:
-            try:
-                definition = message_definition(types[0])
-                tap = Tap(self, topic, _message_type(types[0]), qos)
-            except Exception as error:  # whatever comes from a package that is not ours
-                self._told.add(topic)
-                self.get_logger().warning(f'{topic} is not recorded: {error}')
-                return
-            self._taps[topic] = tap
-            profiles = [qos_map(publisher.qos_profile) for publisher in publishers]
-            type_hash = str(publishers[0].topic_type_hash)
-            self._attempt(
-                lambda: self._bag.add_topic(topic, types[0], definition, profiles, type_hash)
-            )
-            self.get_logger().debug(f'recording {topic} [{types[0]}]')
-        elif asks_more(tap.qos, qos):
-            self.get_logger().warning(
-                f'a new publisher of {topic} offers less than the others: '
-                f'subscribing anew as {qos.reliability.name}, {qos.durability.name}'
-            )
-            self._taps[topic] = Tap(self, topic, tap.message_type, qos)
-            self._write(tap.take())
-            tap.destroy()
-
-    def _take_all(self) -> list[Received]:
-        """Return what has come in before now, in that order.
-
-        Taps are emptied one after the other. What comes in meanwhile has to wait, or a /clock
-        would be known before messages that came in ahead of it.
-        """
-        now_ns = time.time_ns()
-        taken = [message for tap in self._taps.values() for message in tap.take()]
-        received = [*self._for_next_round, *(m for m in taken if m.receive_ns <= now_ns)]
-        self._for_next_round = [m for m in taken if m.receive_ns > now_ns]
-        received.sort(key=attrgetter('receive_ns'))
-        return received
+    def _add_topic(self, topic: NewTopic) -> None:
+        self._attempt(lambda: self._bag.add_topic(*topic))
 
     def _write(self, received: list[Received]) -> None:
         """Write messages, unless paused.
@@ -271,15 +214,18 @@ class Recorder(HerdingNode):
         in_simulation = self._in_simulation
         for message in received:
             if in_simulation and message.topic == CLOCK:
-                self._follow_clock(message.data)
+                try:
+                    self._log_clock.follow(message.data)
+                except Refused as error:
+                    self._refused.add(CLOCK, error)  # as a clock: it is recorded
             if not self._paused:
                 self._waiting.append(message)
-                if not in_simulation or self._clock_ns is not None:
+                if not in_simulation or self._log_clock.is_known:
                     self._write_waiting()
 
     def _write_waiting(self) -> None:
         for message in self._waiting:
-            log_ns = message.receive_ns if self._clock_ns is None else self._sim_time_ns
+            log_ns = self._log_clock.log_time(message.receive_ns)
             try:
                 self._bag.write(message.topic, message.data, log_ns, message.publish_ns)
                 self._bytes += len(message.data)
@@ -287,32 +233,12 @@ class Recorder(HerdingNode):
                 self._refused.add(message.topic, error)
         self._waiting.clear()
 
-    def _follow_clock(self, data: bytes) -> None:
-        try:
-            clock_ns = _clock_ns(data)
-        except Refused as error:
-            self._refused.add(CLOCK, error)  # as a clock: it is recorded
-            return
-        # A reset of the simulation takes its clock back; a bag whose times went back as well
-        # would play both runs at once.
-        last_ns = 0 if self._clock_ns is None else self._clock_ns
-        self._sim_time_ns += max(clock_ns - last_ns, 0)
-        self._sim_time_ns = min(self._sim_time_ns, LAST_TIME_NS)  # of a clock gone mad
-        self._clock_ns = clock_ns
-
-    def _count_lost(self) -> None:
-        for topic, tap in self._taps.items():
-            lost = tap.take_lost()
-            if lost:
-                self._lost += lost
-                self.get_logger().error(f'{lost} messages of {topic} were lost')
-
     def _publish_diagnostics(self) -> None:
-        self._count_lost()
+        self._lost += self._topics.take_lost()
         values = {
             'bag': self._bag.path,
             'files': self._bag.file_count,
-            'topics': len(self._taps),
+            'topics': len(self._topics),
             'messages': self._bag.message_count,
             'bytes': self._bytes,
             'lost': self._lost,
@@ -374,27 +300,6 @@ def _record(recorder: Recorder, stop: threading.Event) -> int:
         f'{bag.size / 1e6:.1f} MB, in {bag.path}'
     )
     return 0 if complete else 1
-
-
-def _message_type(name: str) -> Any:
-    """Return the class of a type; ValueError when it cannot be imported."""
-    try:
-        package, kind, name = name.split('/')
-        if kind != 'msg':  # the graph says it, and what it says would be imported
-            raise ImportError(f'{kind} is no kind of messages')
-        return getattr(import_module(f'{package}.{kind}'), name)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(
-            f'its type cannot be imported ({error}); source the workspace that provides it'
-        ) from error
-
-
-def _clock_ns(data: bytes) -> int:
-    """Return the time [ns] in a serialised /clock message; raises Refused when it is none."""
-    seconds, nanoseconds = Reader(data).numbers('iI')
-    if seconds < 0 or nanoseconds >= 1_000_000_000:
-        raise Refused('no time', f'{seconds} s and {nanoseconds} ns are no time')
-    return int(seconds * 1_000_000_000 + nanoseconds)
 
 
 if __name__ == '__main__':

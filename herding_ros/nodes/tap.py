@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A subscription to serialised messages, for the recorder."""
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class Received(NamedTuple):
 class Tap:
     """All messages of a topic, as they are on the wire.
 
-    The executor could tell of lost messages too, but then it wakes for every message;
+    The executor could report lost messages too, but then it wakes for every message;
     `take_lost()` asks.
     """
 
@@ -49,7 +50,7 @@ class Tap:
         """Return the messages that have come in, the oldest first."""
         topic = self.topic
         return [
-            # A stranger's stamp may be none at all, which is negative.
+            # A stranger's stamp may be missing, which is negative.
             Received(max(info['source_timestamp'], 0), info['received_timestamp'], topic, data)
             for data, info in self._inbox.take()
         ]

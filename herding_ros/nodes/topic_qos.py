@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a topic's publishers offer: how to subscribe to all of them, and how a bag keeps it."""
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from herding_ros.bag.reader import read_run
-from herding_ros.bag.run import Run
+from herding_ros.bag.recorded_run import RecordedRun
 
 from .figures import save_trajectories
 from .summary import summarise
@@ -41,7 +41,7 @@ def write_report(
     return summary
 
 
-def _table(run: Run) -> Table:
+def _table(run: RecordedRun) -> Table:
     table = Table(box=None, header_style='bold', pad_edge=False)
     table.add_column('topic')
     table.add_column('type', overflow='fold')

@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from herding_ros.bag.run import Array, Run
+from herding_ros.bag.recorded_run import Array, RecordedRun
 from herding_ros.model.flock import ARRIVAL_DISTANCE, centre, distance, spread, TOGETHER
 
 from .style import BLUE, draw_goal, draw_herd, draw_paths, GREY, save
 
 
-def save_trajectories(run: Run, path: str | os.PathLike[str]) -> None:
+def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
     """Draw the run and save it as PNG."""
     figure = Figure(figsize=(11.0, 6.4), layout='constrained')
     grid = figure.add_gridspec(3, 2, width_ratios=[1.75, 1.0])
@@ -36,7 +36,7 @@ def save_trajectories(run: Run, path: str | os.PathLike[str]) -> None:
     save(figure, path, dpi=160)
 
 
-def _draw_map(axes: Axes, run: Run) -> None:
+def _draw_map(axes: Axes, run: RecordedRun) -> None:
     sheep, dogs = run.x.shape[1], run.d.shape[1]
     herd = (f'{sheep} sheep' if sheep > 1 else 'sheep', f'{dogs} dogs' if dogs > 1 else 'dog')
     draw_paths(axes, run.d, centre(run.x), 'centre of the flock')
@@ -49,7 +49,7 @@ def _draw_map(axes: Axes, run: Run) -> None:
     axes.legend(fontsize=8, frameon=True, framealpha=0.9, edgecolor='none', loc='best')
 
 
-def _draw_with_limit(axes: Axes, run: Run, values: Array, limit: float) -> None:
+def _draw_with_limit(axes: Axes, run: RecordedRun, values: Array, limit: float) -> None:
     axes.plot(run.times, values, color=BLUE)
     axes.axhline(limit, color=GREY, linestyle='--', linewidth=1.0)
     axes.annotate(
@@ -60,7 +60,7 @@ def _draw_with_limit(axes: Axes, run: Run, values: Array, limit: float) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def _draw_solves(axes: Axes, run: Run) -> None:
+def _draw_solves(axes: Axes, run: RecordedRun) -> None:
     times = [replan.time for replan in run.replans]
     solve_ms = [replan.solve_ms for replan in run.replans]
     axes.vlines(times, 0.0, solve_ms, color='0.75')

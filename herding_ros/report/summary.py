@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.bag.run import Run
+from herding_ros.bag.recorded_run import RecordedRun
 from herding_ros.model.flock import arrived, distance, spread
 
 
-def summarise(run: Run) -> dict[str, Any]:
+def summarise(run: RecordedRun) -> dict[str, Any]:
     """Return the run's result as plain values for JSON; unknown values are None.
 
     time_s is when the flock arrived, at the goal and together, else the length of the run.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Texts of message types: against rosbag2's rules, and against ROS 2's own type hashes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags read back into the arrays they were made of, whatever is missing or odd in them."""
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from herding_ros.bag.point_cloud import points
 from herding_ros.bag.reader import read_run
 from herding_ros.bag.writer import BagWriter
+from herding_ros.point_cloud import points
 
 PERIOD_NS = 100_000_000
 PARAMETERS = {'/controller': {'goal': [0.5, -0.25]}, '/sim': {'seed': 3}}
@@ -245,7 +246,7 @@ def convert_to_sqlite3(source: Path, target: Path) -> None:
 
 
 def test_no_bag_is_told(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match='nothing is no bag'):
+    with pytest.raises(FileNotFoundError, match='nothing is not a bag'):
         read_run(tmp_path / 'nothing')
 
 
@@ -311,23 +312,22 @@ def test_changing_flock_is_told(tmp_path: Path, run_recorder: Any) -> None:
         read_run(tmp_path / 'bag')
 
 
-@pytest.mark.parametrize('seed', range(20))
-def test_damaged_bag_is_told(
-    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any], seed: int
-) -> None:
+def test_damaged_bag_is_refused(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
     with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
         write(recorder, arrays)
-    generator = random.Random(seed)
     file = tmp_path / 'bag' / 'bag_0.mcap'
-    data = bytearray(file.read_bytes())
-    if seed % 2:
-        data = data[: generator.randrange(len(data))]
-    else:
-        place = generator.randrange(len(data) // 2)  # where the messages are
-        data[place : place + 8] = generator.randbytes(8)
-    file.write_bytes(data)
-    with pytest.raises(ValueError, match='bag'):
-        read_run(tmp_path / 'bag')
+    whole = file.read_bytes()
+    for seed in range(8):
+        generator = random.Random(seed)
+        data = bytearray(whole)
+        if seed % 2:
+            data = data[: generator.randrange(len(data))]
+        else:
+            place = generator.randrange(len(data) // 2)  # where the messages are
+            data[place : place + 8] = generator.randbytes(8)
+        file.write_bytes(data)
+        with pytest.raises(ValueError, match='bag'):
+            read_run(tmp_path / 'bag')
 
 
 @pytest.mark.parametrize(

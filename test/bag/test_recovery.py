@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags that were cut off, damaged or made to do harm, and what `recover` makes of them.
 
 What was recovered is judged by others: mcap's own reader with its index, and rosbags.
@@ -6,6 +7,8 @@ What was recovered is judged by others: mcap's own reader with its index, and ro
 from __future__ import annotations
 
 import fcntl
+import io
+import json
 from pathlib import Path
 import random
 import resource
@@ -23,6 +26,8 @@ from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import CompressionType, MCAP0_MAGIC, Writer
 import pytest
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
 import yaml
 import zstandard
 
@@ -30,8 +35,8 @@ from herding_ros.bag import recovery
 from herding_ros.bag.cli import main
 from herding_ros.bag.inspection import inspect
 from herding_ros.bag.reader import read_run
+from herding_ros.bag.records import MOST_BYTES
 from herding_ros.bag.recovery import recover
-from herding_ros.bag.scan import MOST_BYTES
 from herding_ros.bag.writer import BagWriter
 
 HASH = 'RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18'
@@ -43,10 +48,10 @@ PROFILE: dict[str, Any] = {
     'depth': 7,
     'reliability': 'best_effort',
     'durability': 'transient_local',
-    'deadline': FOREVER,
-    'lifespan': FOREVER,
+    'deadline': {**FOREVER},
+    'lifespan': {**FOREVER},
     'liveliness': 'automatic',
-    'liveliness_lease_duration': FOREVER,
+    'liveliness_lease_duration': {**FOREVER},
     'avoid_ros_namespace_conventions': False,
 }
 
@@ -209,37 +214,103 @@ def test_topics_keep_what_is_known_of_them(tmp_path: Path) -> None:
             assert message.publish_time == message.log_time - 250
 
 
-def test_cut_at_any_byte(tmp_path: Path) -> None:
-    messages = some_messages(40)
-    write_bag(tmp_path / 'bag', messages).close()
-    whole = (tmp_path / 'bag' / 'bag_0.mcap').read_bytes()
-    ends = chunk_ends(tmp_path / 'bag' / 'bag_0.mcap')
-    assert [count for _, count in ends] == [10, 20, 30, 40]
-    boundaries = {end + shift for end, _ in ends for shift in (-1, 0, 1)}
-    lengths = {*range(0, len(whole), 71), *range(12), *boundaries, len(whole) - 1}
-    for length in sorted(lengths):
+@pytest.fixture(scope='module')
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Messages]:
+    """A whole bag of two chunks in little more than 2 kB, and its messages."""
+    messages = [('/t0', START + k, text_message(f'{k}')) for k in range(6)]
+    path = tmp_path_factory.mktemp('small') / 'bag'
+    with BagWriter(path) as bag:
+        bag.add_topic('/t0', 'std_msgs/msg/String', 'string data\n', [], HASH)
+        for k, (topic, time, data) in enumerate(messages):
+            bag.write(topic, data, time, time - 250)
+            if k == 2:
+                bag.flush()
+    return path, messages
+
+
+def test_cut_at_any_byte(tmp_path: Path, small: tuple[Path, Messages]) -> None:
+    bag, messages = small
+    whole = (bag / 'bag_0.mcap').read_bytes()
+    (first, three), (second, six) = chunk_ends(bag / 'bag_0.mcap')
+    assert (three, six) == (3, 6)
+    for length in [*range(12), *range(12, first, 11), *range(first - 1, len(whole))]:
         cut = tmp_path / f'{length}'
         cut.mkdir()
-        (cut / 'bag_0.mcap').write_bytes(whole[:length])
-        recover(cut)
-        expected = max((count for end, count in ends if end <= length), default=0)
-        assert read(cut) == messages[:expected], length
+        (cut / 'bag_0.mcap').write_bytes(
+            whole[:length] + bytes(1000 * (length > 8 and length % 3 == 0))
+        )
+        (result,) = recover(cut).files
+        expected = messages[: 6 if length >= second else 3 if length >= first else 0]
+        assert read_by_mcap(cut) == expected, length
+        assert result.lost_bytes <= second - first  # and not what was reserved
+        if length % 8 == 0:
+            assert read_by_rosbags(cut) == expected, length
         shutil.rmtree(cut)
 
 
-def test_cut_within_the_room_that_was_reserved(tmp_path: Path) -> None:
-    messages = some_messages(40)
-    dead = killed(write_bag(tmp_path / 'bag', messages), tmp_path / 'killed')
-    written = (dead / 'bag_0.mcap').read_bytes().rstrip(b'\0')
-    for missing in (0, 1, 50, 400):  # a kill in the middle of handing a chunk over
-        cut = written[: len(written) - missing]
-        folder = tmp_path / f'{missing}'
-        folder.mkdir()
-        (folder / 'bag_0.mcap').write_bytes(cut + bytes(100_000))
-        (result,) = recover(folder).results
-        assert read(folder) == messages[: result.information.message_count]
-        assert result.information.message_count == (40 if missing < 200 else 30)
-        assert result.lost_bytes <= 1000  # and not 100,000
+def test_any_bit_of_the_end_may_flip(tmp_path: Path, small: tuple[Path, Messages]) -> None:
+    """All bits of the footer and the magic, one of each byte of the index and the summary."""
+    bag, messages = small
+    whole = (bag / 'bag_0.mcap').read_bytes()
+    *_, (end, _) = chunk_ends(bag / 'bag_0.mcap')
+    data_end = whole.rindex(struct.pack('<BQI', 15, 4, 0))
+    bits = random.Random(0)
+    flips = [(place, bits.randrange(8)) for place in range(end, len(whole) - 37, 2)]
+    flips += [(place, bit) for place in range(len(whole) - 37, len(whole)) for bit in range(8)]
+    for place, bit in flips:
+        data = bytearray(whole)
+        data[place] ^= 1 << bit
+        folder = shutil.copytree(bag, tmp_path / 'flipped')
+        (folder / 'bag_0.mcap').write_bytes(data)
+        recovery = recover(folder)
+        assert read_by_mcap(folder) == messages, (place, bit)
+        if place % 8 == 0 or place >= len(whole) - 37:
+            assert read_by_rosbags(folder) == messages, (place, bit)
+        # The text of the metadata record is the only part without a checksum.
+        assert not recovery.was_whole or b'rosbag2' in whole[place - 2000 : place], (place, bit)
+        assert not recovery.was_whole or place < data_end, (place, bit)
+        shutil.rmtree(folder)
+
+
+def test_any_bit_of_the_metadata_may_flip(tmp_path: Path, small: tuple[Path, Messages]) -> None:
+    bag, messages = small
+    whole = (bag / 'metadata.yaml').read_bytes()
+    bits = random.Random(0)
+    for place in range(0, len(whole), 5):
+        data = bytearray(whole)
+        data[place] ^= 1 << bits.randrange(8)
+        folder = shutil.copytree(bag, tmp_path / 'flipped')
+        (folder / 'metadata.yaml').write_bytes(data)
+        recover(folder)
+        assert (folder / 'metadata.yaml').read_bytes() == whole or read(folder) == messages
+        assert inspect(folder / 'bag_0.mcap').faults == []
+        shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize('compressed', [False, True])
+def test_bags_of_another_writer(tmp_path: Path, compressed: bool) -> None:
+    """Those of rosbags are whole, and recovered when a bit of their end flips."""
+    with RosbagsWriter(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        if compressed:
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        connection = writer.add_connection(
+            '/t0', 'std_msgs/msg/String', msgdef='string data\n', rihs01=HASH
+        )
+        for k in range(10):
+            writer.write(connection, START + k, text_message(f'{k}'))
+    messages = [('/t0', START + k, text_message(f'{k}')) for k in range(10)]
+    assert recover(tmp_path / 'bag').was_whole
+    file = tmp_path / 'bag' / 'bag.mcap'
+    whole = file.read_bytes()
+    for place in range(len(whole) - 37, len(whole)):
+        data = bytearray(whole)
+        data[place] ^= 1 << place % 8
+        file.write_bytes(data)
+        assert not recover(tmp_path / 'bag').was_whole
+        assert read(tmp_path / 'bag') == messages
+        file.with_name('bag.mcap.broken').unlink()
+        for kept in (tmp_path / 'bag').glob('metadata.yaml.broken'):
+            kept.unlink()
 
 
 @pytest.mark.parametrize(
@@ -253,12 +324,12 @@ def test_cut_within_the_room_that_was_reserved(tmp_path: Path) -> None:
     ],
 )
 def test_bags_of_a_stock_recorder(tmp_path: Path, options: dict[str, Any], unit: str) -> None:
-    messages = some_messages(2000)
+    messages = some_messages(500)
     write_file(tmp_path / 'stock_0.mcap', messages, **options)
     whole = (tmp_path / 'stock_0.mcap').read_bytes()
     ends = chunk_ends(tmp_path / 'stock_0.mcap') if unit == 'chunk' else []
     generator = random.Random(0)
-    for trial in range(8):
+    for trial in range(3):
         folder = tmp_path / f'{trial}'
         folder.mkdir()
         length = generator.randrange(400, len(whole))
@@ -270,7 +341,7 @@ def test_bags_of_a_stock_recorder(tmp_path: Path, options: dict[str, Any], unit:
             assert len(found) == max((count for end, count in ends if end <= length), default=0)
         else:
             taken = sum(len(data) + 31 for _, _, data in found)
-            assert taken > length - 2000  # all but topics, the last message and the index
+            assert taken > length - 4000  # all but topics, the last message and the index
         with (folder / 'stock_0.mcap').open('rb') as stream:
             chunks = [r for r in StreamReader(stream, emit_chunks=True).records
                       if isinstance(r, Chunk)]  # fmt: skip
@@ -298,7 +369,7 @@ def test_numbers_of_policies_become_names(tmp_path: Path) -> None:
         writer.start(profile='ros2')
         schema = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data\n')
         writer.register_channel(
-            '/t', 'cdr', schema, {'offered_qos_profiles': yaml.safe_dump(profiles)}
+            '/t', 'cdr', schema, {'offered_qos_profiles': json.dumps(profiles)}
         )
         writer.finish()
     recover(tmp_path)
@@ -321,7 +392,7 @@ def test_last_file_is_recovered_and_the_others_are_left_alone(tmp_path: Path) ->
     with pytest.raises(FileNotFoundError, match=r'not been closed.*does not list bag_2\.mcap'):
         read_run(dead)
     assert read_by_rosbags(dead) == messages[:500]  # what is in metadata.yaml until then
-    first, second, third = recover(dead).results
+    first, second, third = recover(dead).files
     assert (first.faults, second.faults) == ((), ())
     assert [r.information.message_count for r in (first, second, third)] == [250, 250, 100]
     after = bytes_of(dead)
@@ -342,7 +413,7 @@ def test_files_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     bag.close()
     expected = (bag.path / 'metadata.yaml').read_text()
     (bag.path / 'metadata.yaml').unlink()
-    assert not any(result.faults for result in recover(bag.path).results)
+    assert not any(result.faults for result in recover(bag.path).files)
     assert (bag.path / 'metadata.yaml').read_text() == expected
     assert read_by_rosbags(bag.path) == messages
 
@@ -350,34 +421,37 @@ def test_files_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
 # Bags that were damaged.
 
 
-@pytest.mark.parametrize('seed', range(40))
-def test_damage_costs_the_chunk_it_is_in(tmp_path: Path, seed: int) -> None:
-    messages = some_messages(200)
+def test_damage_costs_the_chunk_it_is_in_or_what_follows(tmp_path: Path) -> None:
+    messages = some_messages(60)
+    write_bag(tmp_path / 'bag', messages).close()
+    ends = chunk_ends(tmp_path / 'bag' / 'bag_0.mcap')
+    whole = (tmp_path / 'bag' / 'bag_0.mcap').read_bytes()
+    for seed in range(20):
+        generator = random.Random(seed)
+        data = bytearray(whole)
+        place = generator.randrange(400, ends[-1][0])
+        new = generator.randbytes(generator.choice((1, 8, 300)))
+        data[place : place + len(new)] = new
+        folder = shutil.copytree(tmp_path / 'bag', tmp_path / f'{seed}')
+        (folder / 'bag_0.mcap').write_bytes(data)
+        recover(folder)
+        found = read(folder)
+        before = max((count for end, count in ends if end <= place), default=0)
+        assert found[:before] == messages[:before]
+        assert [message for message in messages if message in found] == found  # none is made up
+
+
+def test_wrong_checksum_costs_one_chunk(tmp_path: Path) -> None:
+    messages = some_messages(60)
     write_bag(tmp_path / 'bag', messages).close()
     file = tmp_path / 'bag' / 'bag_0.mcap'
-    ends = chunk_ends(file)
     data = bytearray(file.read_bytes())
-    generator = random.Random(seed)
-    place = generator.randrange(400, ends[-1][0])
-    new = generator.randbytes(generator.choice((1, 8, 300)))
-    if bytes(data[place : place + len(new)]) == new:
-        pytest.skip('nothing was changed')
-    data[place : place + len(new)] = new
+    data[data.index(messages[33][2]) + 10] ^= 1
     file.write_bytes(data)
-    recover(tmp_path / 'bag')
-    found = read(tmp_path / 'bag')
-    # Chunks whose bytes, or those up to the next one, are as they were are all there.
-    starts = [0, *(end for end, _ in ends)]
-    expected = [
-        message
-        for k in range(len(ends))
-        if not (place < ends[k][0] and place + len(new) > starts[k])
-        for message in messages[10 * k : 10 * k + 10]
-    ]
-    missing = [message for message in expected if message not in found]
-    assert missing == []
-    assert [message for message in messages if message in found] == found  # and none is made up
-    assert len(found) >= 170
+    (result,) = recover(file.parent).files
+    assert read(file.parent) == messages[:30] + messages[40:]
+    assert 'checksum' in result.faults[0]
+    assert 300 < result.lost_bytes < 3000
 
 
 def test_topics_are_found_in_the_index_when_the_first_chunk_is_lost(tmp_path: Path) -> None:
@@ -388,7 +462,7 @@ def test_topics_are_found_in_the_index_when_the_first_chunk_is_lost(tmp_path: Pa
     place = data.index(messages[3][2])  # topics are in the same chunk
     data[place + 10] ^= 1
     file.write_bytes(data)
-    (result,) = recover(tmp_path / 'bag').results
+    (result,) = recover(tmp_path / 'bag').files
     assert read(tmp_path / 'bag') == messages[10:]
     assert result.lost_messages == 0
     assert 'checksum' in result.faults[0]
@@ -407,61 +481,19 @@ def test_messages_of_lost_topics_are_counted(
     assert '190 messages whose topics' in capsys.readouterr().out
 
 
-def test_chunks_without_checksum_are_kept_up_to_the_damage(tmp_path: Path) -> None:
+def test_chunk_without_checksum_is_kept_or_left_out_as_a_whole(tmp_path: Path) -> None:
     messages = some_messages(200)
-    write_file(tmp_path / 'stock_0.mcap', messages, chunk_size=10_000)
+    write_file(tmp_path / 'stock_0.mcap', messages, chunk_size=5000)
     data = bytearray((tmp_path / 'stock_0.mcap').read_bytes())
-    place = data.index(messages[60][2]) - 31  # the head of its record
+    place = data.index(messages[100][2]) - 31  # the head of its record
     data[place : place + 9] = b'\xff' * 9
     (tmp_path / 'stock_0.mcap').write_bytes(data)
-    (result,) = recover(tmp_path).results
+    (result,) = recover(tmp_path).files
     found = read(tmp_path)
     assert 1000 < result.lost_bytes < 10_000
-    assert found[:60] == messages[:60]
-    assert found[60:] == messages[len(messages) - len(found[60:]) :]
-
-
-def test_length_that_leads_past_chunks_hides_none(tmp_path: Path) -> None:
-    messages = some_messages(200)
-    write_bag(tmp_path / 'bag', messages).close()
-    file = tmp_path / 'bag' / 'bag_0.mcap'
-    ends = [end for end, _ in chunk_ends(file)]
-    data = bytearray(file.read_bytes())
-    # The index of the messages of the fifth chunk, with a length as if it were all up to where
-    # another record begins.
-    assert data[ends[4]] == 7
-    struct.pack_into('<Q', data, ends[4] + 1, ends[10] - ends[4] - 9)
-    file.write_bytes(data)
-    recover(tmp_path / 'bag')
-    assert read(tmp_path / 'bag') == messages
-
-
-@pytest.mark.parametrize('more', [1, 500, 1500, -1, -100])
-def test_chunk_of_a_wrong_length_costs_no_other(tmp_path: Path, more: int) -> None:
-    messages = some_messages(200)
-    write_bag(tmp_path / 'bag', messages).close()
-    file = tmp_path / 'bag' / 'bag_0.mcap'
-    with file.open('rb') as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    start = summary.chunk_indexes[4].chunk_start_offset
-    data = bytearray(file.read_bytes())
-    (length,) = struct.unpack_from('<Q', data, start + 1)
-    struct.pack_into('<Q', data, start + 1, length + more)
-    file.write_bytes(data)
-    recover(tmp_path / 'bag')
-    assert read(tmp_path / 'bag') == messages[:40] + messages[50:]
-
-
-def test_topic_that_is_damaged_costs_no_other(tmp_path: Path) -> None:
-    messages = some_messages(200)
-    write_file(tmp_path / 'stock_0.mcap', messages, use_chunking=False)
-    data = (tmp_path / 'stock_0.mcap').read_bytes()
-    (tmp_path / 'stock_0.mcap').write_bytes(data.replace(b'/t1', b'/t\xff'))
-    (result,) = recover(tmp_path).results
-    expected = [message for message in messages if message[0] != '/t1']
-    assert read(tmp_path) == expected
-    assert result.lost_messages == 200 - len(expected)
+    missing = [k for k, message in enumerate(messages) if message not in found]
+    assert missing == list(range(missing[0], missing[-1] + 1))
+    assert 10 < len(missing) < 100
 
 
 def test_index_that_lies_is_damage(tmp_path: Path) -> None:
@@ -516,7 +548,7 @@ def test_second_recovery_has_nothing_to_do(tmp_path: Path) -> None:
     assert bytes_of(dead) == before
 
 
-# What is no bag, or is not to be touched.
+# What is not a bag, or is not to be touched.
 
 
 @pytest.mark.parametrize(
@@ -524,9 +556,9 @@ def test_second_recovery_has_nothing_to_do(tmp_path: Path) -> None:
     [
         ('nothing', 'does not exist'),
         ('file', 'is a file; give the folder it is in'),
-        ('empty', 'is no bag in mcap: it has no .mcap file'),
-        ('sqlite3', 'is no bag in mcap: it has no .mcap file'),
-        ('text', 'text_0.mcap is no mcap file'),
+        ('empty', 'is not a bag in mcap: it has no .mcap file'),
+        ('sqlite3', 'is not a bag in mcap: it has no .mcap file'),
+        ('text', 'text_0.mcap is not an mcap file'),
     ],
 )
 def test_what_is_no_bag_is_told(
@@ -580,35 +612,37 @@ def test_nothing_is_overwritten(
     assert bytes_of(dead) == before
 
 
+class Interrupted(io.FileIO):
+    """A file whose reading is interrupted after a number of calls, in all files together."""
+
+    left = 0
+
+    def read(self, size: int = -1) -> bytes:
+        type(self).left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().read(size)
+
+
 def test_recovery_may_be_interrupted_at_any_time(tmp_path: Path) -> None:
-    messages = some_messages(105)
-    bag = write_bag(tmp_path / 'bag', messages, max_duration_ns=49_000_000)
+    messages = some_messages(30)
+    bag = write_bag(tmp_path / 'bag', messages, max_duration_ns=14_000_000)
     dead = killed(bag, tmp_path / 'killed')
     (dead / 'bag_0.mcap').write_bytes((dead / 'bag_0.mcap').read_bytes()[:-20])
-    calls = 0
-    recover(shutil.copytree(dead, tmp_path / 'count'), lambda *_: None)
-    for last in range(1000):
-        folder = shutil.copytree(dead, tmp_path / f'{last}')
-        calls = 0
-
-        def stop(what: str, size: int, done: int, last: int = last) -> None:
-            nonlocal calls
-            calls += 1
-            assert 0 <= done <= size
-            if calls > last:
-                raise KeyboardInterrupt
-
-        interrupted = False
+    interrupted = 0
+    for calls in range(0, 100_000, 97):
+        folder = shutil.copytree(dead, tmp_path / f'{calls}')
+        Interrupted.left = calls
         try:
-            recover(folder, stop)
+            recover(folder, lambda path: Interrupted(path))  # type: ignore[return-value]
         except KeyboardInterrupt:
-            interrupted = True
-        recover(folder)
-        assert read(folder) == messages[:100]
-        assert not list(folder.glob('*.partial'))
-        if not interrupted:
+            interrupted += 1
+        else:
             break
-    assert last > 20
+        recover(folder)
+        assert read_by_mcap(folder) == messages
+        assert not list(folder.glob('*.partial'))
+    assert interrupted > 4
 
 
 def test_kill_between_two_renames_loses_nothing(
@@ -692,7 +726,7 @@ def test_links_to_data_are_not_followed(
     (tmp_path / 'links' / 'bag_0.mcap').symlink_to(dead / 'bag_0.mcap')
     before = bytes_of(dead)
     assert main([str(tmp_path / 'links')]) == 2
-    assert 'leads elsewhere' in capsys.readouterr().err
+    assert 'must be a file in the bag' in capsys.readouterr().err
     assert bytes_of(dead) == before
 
 
@@ -771,36 +805,37 @@ HOSTILE = {
 }
 
 
-@pytest.mark.parametrize('compressed', [False, True], ids=['', 'in a chunk'])
-@pytest.mark.parametrize('name', HOSTILE)
-def test_absurd_sizes_take_no_memory(tmp_path: Path, name: str, compressed: bool) -> None:
+def test_absurd_sizes_take_no_memory(tmp_path: Path) -> None:
     """In a process of its own, which has memory for little more than the programs."""
     messages = some_messages(40)
     write_bag(tmp_path / 'bag', messages).close()
-    file = tmp_path / 'bag' / 'bag_0.mcap'
-    data = file.read_bytes()
-    (place, _), *_ = chunk_ends(file)
-    hostile = HOSTILE[name]
-    if compressed:
-        hostile = chunk(zstandard.compress(hostile), len(hostile), b'zstd')
-    file.write_bytes(data[:place] + hostile + data[place:])
-    with pytest.raises(ValueError, match='damaged'):
-        read_run(file.parent)
+    data = (tmp_path / 'bag' / 'bag_0.mcap').read_bytes()
+    (place, _), *_ = chunk_ends(tmp_path / 'bag' / 'bag_0.mcap')
+    folders = []
+    for name, hostile in HOSTILE.items():
+        for each in (hostile, chunk(zstandard.compress(hostile), len(hostile), b'zstd')):
+            folders.append(tmp_path / f'{name} {len(folders)}')
+            folders[-1].mkdir()
+            file = folders[-1] / 'bag_0.mcap'
+            file.write_bytes(data[:place] + each + data[place:])
+            assert inspect(file).faults != []
     program = (
-        'import resource, sys; from herding_ros.bag.cli import main; '
-        'resource.setrlimit(resource.RLIMIT_AS, (2**30, 2**30)); sys.exit(main(sys.argv[1:]))'
+        'import pathlib, resource, sys; from herding_ros.bag.recovery import recover; '
+        'resource.setrlimit(resource.RLIMIT_AS, (2**30, 2**30)); '
+        '[recover(pathlib.Path(folder)) for folder in sys.argv[1:]]'
     )
     result = subprocess.run(
-        [sys.executable, '-c', program, str(file.parent)],
-        capture_output=True, text=True, timeout=60, check=False,
+        [sys.executable, '-c', program, *map(str, folders)],
+        capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
-    assert read(file.parent) == messages
+    for folder in folders:
+        assert read_by_mcap(folder) in (messages, messages[:10]), folder
 
 
 def test_files_without_rhyme_or_reason(tmp_path: Path) -> None:
     generator = random.Random(0)
-    for trial in range(200):
+    for trial in range(50):
         folder = tmp_path / f'{trial}'
         folder.mkdir()
         kinds = generator.choices([*HOSTILE.values(), generator.randbytes(50)], k=4)
@@ -837,28 +872,17 @@ def test_program(tmp_path: Path) -> None:
     assert refused.stderr == 'recover: /nowhere does not exist\n'
 
 
-def test_progress_goes_from_nothing_to_everything(tmp_path: Path) -> None:
-    dead = killed(write_bag(tmp_path / 'bag', some_messages(1000)), tmp_path / 'killed')
-    told: dict[str, list[tuple[int, int]]] = {}
-    recover(dead, lambda what, size, done: told.setdefault(what, []).append((size, done)))
-    assert list(told) == ['reading bag_0.mcap', 'copying bag_0.mcap']
-    for steps in told.values():
-        assert len(steps) > 50
-        assert [done for _, done in steps] == sorted(done for _, done in steps)
-        assert all(done <= size for size, done in steps)
-
-
 def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
     import tracemalloc
 
-    messages = [('/t0', START + k, bytes(100_000)) for k in range(1000)]  # 100 MB
+    messages = [('/t0', START + k, bytes(100_000)) for k in range(400)]  # 40 MB
     dead = killed(write_bag(tmp_path / 'bag', messages), tmp_path / 'killed')
     tracemalloc.start()
     recover(dead)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 20e6
-    assert len(read_by_mcap(dead)) == 1000
+    assert len(read_by_mcap(dead)) == 400
 
 
 def test_inspection_of_a_whole_file_agrees_with_the_writer(tmp_path: Path) -> None:
@@ -866,6 +890,6 @@ def test_inspection_of_a_whole_file_agrees_with_the_writer(tmp_path: Path) -> No
         pass
     found = inspect(bag.path / 'bag_0.mcap')
     assert found.faults == []
-    assert {t.name: t.message_count for t in found.information().topics.values()} == bag.topics
-    assert found.information().first_ns == START
-    assert found.information().last_ns == START + 499_000_000
+    assert {t.name: t.message_count for t in found.information.topics.values()} == bag.topics
+    assert found.information.first_ns == START
+    assert found.information.last_ns == START + 499_000_000

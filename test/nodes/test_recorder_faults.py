@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder when things go wrong: kills, full disks, wrong targets, signals, strange types.
 
 Each against a process of its own over DDS; bags are read by rosbags.

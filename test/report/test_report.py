@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from herding_ros.bag.run import Replan, Run, Topic
+from herding_ros.bag.recorded_run import RecordedRun, Replan, Topic
 from herding_ros.report import figures
 from herding_ros.report.cli import main, write_report
 from herding_ros.report.figures import save_trajectories
@@ -38,7 +38,7 @@ def square(centre: tuple[float, float], spread: float) -> Any:
 
 
 @pytest.fixture
-def run() -> Run:
+def run() -> RecordedRun:
     """Four sheep on their way to (1, 0): 0.5 m short, scattered at the goal, home, past it."""
     x = np.stack(
         [square((0, 0), 0.4), square((0.5, 0), 0.4), square((1, 0), 0.7), square((0.96, 0), 0.55),
@@ -46,7 +46,7 @@ def run() -> Run:
     )  # fmt: skip
     times = 0.5 * np.arange(5)
     d = np.stack([x[:, 0] - 1, x[:, 1] - 1], axis=1)
-    return Run(
+    return RecordedRun(
         times=times,
         x=x,
         v=np.zeros_like(x),
@@ -63,7 +63,7 @@ def run() -> Run:
 
 
 @pytest.mark.parametrize(('sheep', 'cells'), [(1000, []), (1001, [1001, 1001])])
-def test_many_sheep_are_drawn_as_a_density(run: Run, sheep: int, cells: list[int]) -> None:
+def test_many_sheep_are_drawn_as_a_density(run: RecordedRun, sheep: int, cells: list[int]) -> None:
     x = np.random.default_rng(0).normal(0.0, 0.3, (5, sheep, 2))
     axes = Figure().add_subplot()
     figures._draw_map(axes, replace(run, x=x))
@@ -74,7 +74,7 @@ def test_many_sheep_are_drawn_as_a_density(run: Run, sheep: int, cells: list[int
     assert f'{sheep} sheep, start' in words
 
 
-def test_summary_of_an_arrival(run: Run) -> None:
+def test_summary_of_an_arrival(run: RecordedRun) -> None:
     summary = summarise(run)
     assert summary['arrived'] is True
     assert summary['time_s'] == 1.5  # at 1.0 the centre is there, but the flock is scattered
@@ -93,13 +93,13 @@ def test_summary_of_an_arrival(run: Run) -> None:
     assert summary['version'] == '1.2.3'
 
 
-def test_summary_without_arrival(run: Run) -> None:
+def test_summary_without_arrival(run: RecordedRun) -> None:
     summary = summarise(replace(run, goal=np.array([5.0, 5.0])))
     assert summary['arrived'] is False
     assert summary['time_s'] == 2.0
 
 
-def test_summary_of_what_is_unknown_is_valid_json(run: Run) -> None:
+def test_summary_of_what_is_unknown_is_valid_json(run: RecordedRun) -> None:
     bare = replace(run, replans=(replan(0, NAN),), parameters={}, wall_s=0.0)
     summary = json.loads(json.dumps(summarise(bare), allow_nan=False))
     for key in ('solve_ms_median', 'solve_ms_max', 'seed', 'real_time_factor'):
@@ -111,7 +111,7 @@ def is_coloured(picture: Any, kind: Callable[[Any, Any, Any], Any]) -> int:
     return int(np.count_nonzero(kind(red, green, blue)))
 
 
-def test_picture_shows_sheep_dogs_and_goal(run: Run, tmp_path: Path) -> None:
+def test_picture_shows_sheep_dogs_and_goal(run: RecordedRun, tmp_path: Path) -> None:
     save_trajectories(run, tmp_path / 'trajectories.png')
     picture = imread(tmp_path / 'trajectories.png')
     height, width = picture.shape[:2]
@@ -132,18 +132,18 @@ def test_picture_shows_sheep_dogs_and_goal(run: Run, tmp_path: Path) -> None:
         {'replans': (replan(0, NAN),)},
     ],
 )
-def test_picture_of_a_poor_run(run: Run, tmp_path: Path, change: dict[str, Any]) -> None:
+def test_picture_of_a_poor_run(run: RecordedRun, tmp_path: Path, change: dict[str, Any]) -> None:
     save_trajectories(replace(run, **change), tmp_path / 'trajectories.png')
     assert (tmp_path / 'trajectories.png').stat().st_size > 10_000
 
 
-def test_picture_of_a_single_state(run: Run, tmp_path: Path) -> None:
+def test_picture_of_a_single_state(run: RecordedRun, tmp_path: Path) -> None:
     one = replace(run, times=run.times[:1], x=run.x[:1, :1], v=run.v[:1, :1], d=run.d[:1, :1])
     save_trajectories(one, tmp_path / 'trajectories.png')
     summarise(one)
 
 
-def bag_of(run: Run, path: Path, run_recorder: Any) -> Path:
+def bag_of(run: RecordedRun, path: Path, run_recorder: Any) -> Path:
     parameters = {'/controller': {'goal': run.goal.tolist()}, **run.parameters}
     with run_recorder(path, parameters) as recorder:
         for k, time in enumerate(run.times):
@@ -157,7 +157,7 @@ def bag_of(run: Run, path: Path, run_recorder: Any) -> Path:
     return path
 
 
-def test_report_of_a_bag(run: Run, tmp_path: Path, run_recorder: Any) -> None:
+def test_report_of_a_bag(run: RecordedRun, tmp_path: Path, run_recorder: Any) -> None:
     bag = bag_of(run, tmp_path / 'bag', run_recorder)
     console = Console(record=True, width=120, file=StringIO())
     summary = write_report(bag, tmp_path / 'new' / 'out', console)
@@ -179,7 +179,7 @@ def test_report_of_a_bag(run: Run, tmp_path: Path, run_recorder: Any) -> None:
 
 
 def test_program_writes_beside_the_bag(
-    run: Run, tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
+    run: RecordedRun, tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = bag_of(run, tmp_path / 'bag', run_recorder)
     assert main([str(bag)]) == 0
@@ -193,7 +193,7 @@ def test_program_says_what_it_cannot_read(
     tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([str(tmp_path / 'nothing')]) == 2
-    assert 'nothing is no bag' in capsys.readouterr().err
+    assert 'nothing is not a bag' in capsys.readouterr().err
     with run_recorder(tmp_path / 'bag') as recorder:
         recorder.goal(0, (0, 0))
     assert main([str(tmp_path / 'bag')]) == 2
@@ -202,7 +202,7 @@ def test_program_says_what_it_cannot_read(
 
 
 def test_program_says_where_it_cannot_write(
-    run: Run, tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
+    run: RecordedRun, tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = bag_of(run, tmp_path / 'bag', run_recorder)
     (tmp_path / 'file').write_text('')

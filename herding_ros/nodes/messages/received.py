@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from herding_ros.bag.point_cloud import points
 from herding_ros.model.state import Array
 from herding_ros.nodes.refusals import Refused
 from herding_ros.nodes.wire import Reader
+from herding_ros.point_cloud import points
 
 from .checks import check_finite, check_frame, check_size
 from .stamps import dog_frame

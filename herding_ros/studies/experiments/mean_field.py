@@ -16,7 +16,6 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import centre, spread
 from herding_ros.model.mean_field import mean_field
-from herding_ros.model.noise import NoisePaths
 from herding_ros.model.scenario import GOAL, initial_herd, PASTURE
 from herding_ros.model.state import Array, HerdState
 

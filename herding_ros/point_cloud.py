@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The points of a sensor_msgs/PointCloud2 as a NumPy array, by the message's field table."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What was recorded of a run, as arrays."""
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Replan:
 
 
 @dataclass(frozen=True)
-class Run:
+class RecordedRun:
     """A recorded run: T states of N sheep and M dogs, K commands.
 
     times: (T,) [s] from the first state; x: (T, N, 2) positions of the sheep [m];
