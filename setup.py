@@ -1,31 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
 from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-package_name = 'herding_ros'
+# Name, version, description, licence and maintainer are those of package.xml.
+manifest = ElementTree.parse(Path(__file__).resolve().with_name('package.xml'))
+about = {each.tag: each for each in manifest.getroot()}
+name = about['name'].text
 
 setup(
-    name=package_name,
-    version='0.1.0',
-    packages=find_packages(include=[package_name, package_name + '.*']),
-    package_data={package_name: ['py.typed', 'nodes/fastdds.xml', 'studies/pages/*.md']},
+    name=name,
+    version=about['version'].text,
+    description=about['description'].text,
+    license=about['license'].text,
+    maintainer=about['maintainer'].text,
+    maintainer_email=about['maintainer'].get('email'),
+    packages=find_packages(include=[name, name + '.*']),
+    package_data={name: ['py.typed', 'nodes/fastdds.xml', 'studies/pages/*.md']},
     data_files=[
-        ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
-        ('share/' + package_name, ['package.xml']),
-        ('share/' + package_name + '/config', glob('config/*.yaml')),
-        ('share/' + package_name + '/launch', glob('launch/*.launch.py')),
-        ('share/' + package_name + '/rviz', glob('rviz/*.rviz')),
+        ('share/ament_index/resource_index/packages', ['resource/' + name]),
+        ('share/' + name, ['package.xml']),
+        ('share/' + name + '/config', glob('config/*.yaml')),
+        ('share/' + name + '/launch', glob('launch/*.launch.py')),
+        ('share/' + name + '/rviz', glob('rviz/*.rviz')),
     ],
-    install_requires=['setuptools'],
+    python_requires='>=3.10',
+    # The oldest that serve: those of Ubuntu 24.04. requirements.txt pins what is tested.
+    install_requires=['numpy>=1.26', 'scipy>=1.11', 'numba>=0.57'],
+    extras_require={
+        'report': ['matplotlib', 'mcap>=1.2', 'pyyaml', 'rich', 'rosbags>=0.10'],
+        'study': ['matplotlib', 'rich', 'distributed'],
+        'test': ['pytest'],
+    },
     zip_safe=False,
-    maintainer='herding_ros maintainers',
-    maintainer_email='maintainers@herding-ros.org',
-    description=(
-        'Herds a randomly moving crowd with a few robots '
-        'by space-mapping receding-horizon optimal control'
-    ),
-    license='Apache-2.0',
-    extras_require={'test': ['pytest']},
     entry_points={
         'console_scripts': [
             'controller = herding_ros.nodes.controller:main',

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every parameter file is one that the nodes accept."""
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An expectation to a wanted standard error: paths shared out between the levels, and averaged.
+"""An expectation to a required standard error: paths are allocated to levels, and averaged.
 
 The root mean square over the window of the standard error of the centre (a 2-vector) is what
 `standard_error` means everywhere: sqrt(1/K sum_k sum_c Var[mean of coordinate c at step k]).
@@ -24,7 +24,7 @@ from .sampling import FineModel, interpolate, MonteCarloEstimator, Resolution, S
 from .state import Array
 
 _MEMORY = 2**28
-"""Noise of a level that is kept [bytes]; what goes beyond is drawn anew in each evaluation."""
+"""Noise of a level that is kept [bytes]; the rest is drawn again in each evaluation."""
 
 _FEWEST = 2
 """Paths of a level that a variance is estimated from, if a block has fewer."""
@@ -56,7 +56,7 @@ def mean_centre(fine: FineModel, u: Array, noise: NoisePaths, threads: int | Non
 
 
 class Stream:
-    """The noise of a level, block by block: the same blocks whenever it is asked."""
+    """The noise of a level, block by block: the same blocks in each call."""
 
     def __init__(self, fine: FineModel, longer: int, seed: Sequence[int]) -> None:
         """Draw for this crowd, number of sheep and time grid; the state does not matter."""
@@ -99,11 +99,11 @@ class Noise:
 class ExpectedCentre:
     """The expected centre as a function of the control.
 
-    The first evaluation settles how many paths every level gets (Giles 2008): as many as give
-    the wanted standard error [m] with the least work, and no more work than `most` paths of
-    the fine model, which is all that counts if the wanted standard error is 0. Later ones take
-    the same paths and the same noise (common random numbers), so that the result is a smooth
-    function of the control. The same bits come out for any number of threads.
+    The first evaluation decides the number of paths of each level (Giles 2008): the least work
+    that reaches the required standard error [m], but no more than that of `most` paths of the
+    fine model, which is the work if the required standard error is 0. Later evaluations use the
+    same paths and the same noise (common random numbers), so that the result is a smooth function
+    of the control. Results have the same bits for any number of threads.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class ExpectedCentre:
         most: int,
         threads: int | None = None,
     ) -> None:
-        """Take the estimator of which the noise is; compute nothing yet."""
+        """Use the estimator that `noise` was drawn for; compute nothing yet."""
         if most < _FEWEST:
             raise ValueError(f'most must be at least {_FEWEST} paths, got {most}')
         self._levels = estimator.levels(fine)
@@ -192,7 +192,7 @@ class ExpectedCentre:
     def _in_order(
         self, pool: ThreadPoolExecutor, sampler: Sampler, blocks: Iterable[Array]
     ) -> Iterator[Array]:
-        """Compute block after block on all threads, with little of it in memory."""
+        """Compute block after block on all threads, with few of them in memory."""
         pending: deque[Future[Array]] = deque()
         for block in blocks:
             pending.append(pool.submit(sampler, block))

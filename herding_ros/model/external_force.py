@@ -75,8 +75,7 @@ def register(
     both.
     """
     # Numba's cache would not notice that they have changed, but it does notice a new type.
-    source = inspect.getsource(inspect.getmodule(force_of) or force_of)
-    key = f'{name} {sha256(source.encode()).hexdigest()[:16]}'
+    key = f'{name} {_digest(force_of, product_of)}'
     compiled_force, compiled_product = inlined(force_of), inlined(product_of)
 
     @overload(_force, jit_options=_COMPILED)
@@ -92,6 +91,15 @@ def register(
         return None
 
     return lambda *values: Form(key, values)
+
+
+def _digest(*functions: Any) -> str:
+    """Return a number that changes with the file that the functions stand in."""
+    try:
+        source = inspect.getsource(inspect.getmodule(functions[0]))  # type: ignore[arg-type]
+    except (OSError, TypeError):  # typed into an interpreter
+        source = str([(each.__code__.co_code, each.__code__.co_consts) for each in functions])
+    return sha256(source.encode()).hexdigest()[:16]
 
 
 class _FormType(types.Type):
@@ -139,18 +147,15 @@ def add_external_forces(ax: Array, ay: Array, x: Array, y: Array, form: External
     raise NotImplementedError('must be called from compiled code')
 
 
-def add_external_products(
-    hx: Array, hy: Array, x: Array, y: Array, mu_x: Array, mu_y: Array, form: ExternalForm
-) -> None:
-    """Add the product with mu of each sheep to h; from compiled code."""
+def add_external_products(h: Array, x: Array, mu: Array, form: ExternalForm) -> None:
+    """Add to h the product of each sheep with its mu, all [2, lanes]; from compiled code."""
     raise NotImplementedError('must be called from compiled code')
 
 
 def add_external_products_of_sweeps(
-    hx: Array, hy: Array, x: Array, y: Array, mu_x: Array, mu_y: Array, sweeps: int,
-    form: ExternalForm,
-) -> None:  # fmt: skip
-    """Do so for several mu of each sheep, side by side in mu and h; from compiled code."""
+    h: Array, x: Array, mu: Array, n: int, sweeps: int, form: ExternalForm
+) -> None:
+    """Do so for several mu of each of n sheep, side by side in mu and h; from compiled code."""
     raise NotImplementedError('must be called from compiled code')
 
 
@@ -166,25 +171,23 @@ def _add_forces(ax, ay, x, y, form):  # type: ignore[no-untyped-def]
 
 
 @overload(add_external_products, jit_options=_COMPILED)
-def _add_products(hx, hy, x, y, mu_x, mu_y, form):  # type: ignore[no-untyped-def]
-    def add(hx, hy, x, y, mu_x, mu_y, form):  # type: ignore[no-untyped-def]
-        for i in range(x.shape[0]):
-            px, py = _product(x[i], y[i], mu_x[i], mu_y[i], form)
-            hx[i] += px
-            hy[i] += py
+def _add_products(h, x, mu, form):  # type: ignore[no-untyped-def]
+    def add(h, x, mu, form):  # type: ignore[no-untyped-def]
+        for i in range(x.shape[1]):
+            px, py = _product(x[0, i], x[1, i], mu[0, i], mu[1, i], form)
+            h[0, i] += px
+            h[1, i] += py
 
-    return add if isinstance(form, _FormType) else lambda hx, hy, x, y, mu_x, mu_y, form: None
+    return add if isinstance(form, _FormType) else lambda h, x, mu, form: None
 
 
 @overload(add_external_products_of_sweeps, jit_options=_COMPILED)
-def _add_products_of_sweeps(hx, hy, x, y, mu_x, mu_y, sweeps, form):  # type: ignore[no-untyped-def]
-    def add(hx, hy, x, y, mu_x, mu_y, sweeps, form):  # type: ignore[no-untyped-def]
-        for i in range(x.shape[0]):
+def _add_products_of_sweeps(h, x, mu, n, sweeps, form):  # type: ignore[no-untyped-def]
+    def add(h, x, mu, n, sweeps, form):  # type: ignore[no-untyped-def]
+        for i in range(n):
             for k in range(i * sweeps, (i + 1) * sweeps):
-                px, py = _product(x[i], y[i], mu_x[k], mu_y[k], form)
-                hx[k] += px
-                hy[k] += py
+                px, py = _product(x[0, i], x[1, i], mu[0, k], mu[1, k], form)
+                h[0, k] += px
+                h[1, k] += py
 
-    return (
-        add if isinstance(form, _FormType) else lambda hx, hy, x, y, mu_x, mu_y, sweeps, form: None
-    )
+    return add if isinstance(form, _FormType) else lambda h, x, mu, n, sweeps, form: None

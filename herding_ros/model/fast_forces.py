@@ -23,9 +23,9 @@ ACCURACY = 1e-4
 """Error of the forces on all sheep, relative in the Euclidean norm, that is kept."""
 
 _CHECKED = 256
-"""So many sheep have their forces compared with the direct sum."""
+"""Number of sheep whose forces are compared with the direct sum."""
 _SAFETY = 0.7
-"""A sample may be luckier than the flock: its error has to keep this part of the bound."""
+"""A sample must keep this part of the bound: the error of the whole flock may be larger."""
 _PERIOD = 32
 """Steps after which a mesh is prepared anew."""
 _MARGIN = 0.02
@@ -33,7 +33,7 @@ _MARGIN = 0.02
 _BOXES_PER_OCTAVE = 8
 """Boxes have few sizes, so that what a mesh needs of the potential is found once."""
 _COUNTED = 2**12
-"""So many sheep at most are counted to foretell the number of near pairs."""
+"""At most this many sheep are counted to estimate the number of near pairs."""
 
 # Seconds, of one thread, for a pair in the direct sum, for one within the reach, and for a mesh
 # point. Only their ratios matter. They are constants so that the same flock gets the same mesh.
@@ -42,7 +42,7 @@ _DIRECT, _PAIR, _POINT = 0.9e-9, 0.9e-9, 7e-9
 _POINTS = 16.0 * 2.0 ** (np.arange(29) / 4.0)
 _RATIO_STEP = 0.5
 _LEAST_GAIN = 0.9
-"""A higher ratio that leaves more than this part of the error is not worth another try."""
+"""If a higher ratio leaves more than this part of the error, no higher one is tried."""
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,13 @@ class DirectSum:
 
 
 Sums = ParticleMesh | DirectSum
-"""What sums the forces: has `gradients`, `hessian_products`, and a box that `holds` the flock."""
+"""A summation of forces: `gradients`, `hessian_products`, and whether its box `holds` x."""
 
 
 def prepare(
     potential: Potential, x: Array, n: int, accuracy: float = ACCURACY, run: Run = map
 ) -> Sums:
-    """Return what sums the forces of n sheep near x (2, lanes) [m] fastest, to the accuracy.
+    """Return the fastest summation of forces on n sheep near x (2, lanes) [m], to the accuracy.
 
     The ratio of reach and mesh spacing sets the accuracy of a mesh. It starts where repulsion
     like the default crowd's needs it, and is raised until the error of a sample holds. For each
@@ -122,7 +122,7 @@ def prepare(
 def _cheapest(x: Array, low: Array, extent: Array, ratio: float) -> tuple[float, float]:
     """Return the reach [m] of least cost for a ratio of reach and spacing, and its cost [s].
 
-    Sheep within the reach of each other are foretold from numbers of sheep in squares.
+    Pairs within the reach are estimated from the numbers of sheep in squares.
     """
     counted = x[:, :: -(-x.shape[1] // _COUNTED)]
     scale = (x.shape[1] / counted.shape[1]) ** 2
@@ -142,7 +142,7 @@ def _cheapest(x: Array, low: Array, extent: Array, ratio: float) -> tuple[float,
 def summation(
     potential: Potential, n: int, accuracy: float = ACCURACY, run: Run = map
 ) -> Callable[[int, Array], Sums]:
-    """Return a function of the number k of a step and of x (2, lanes) [m]: what sums its forces.
+    """Return a function from step number k and x (2, lanes) [m] to the summation of its forces.
 
     It is to be called for k = 0, 1, ... of a rollout in turn, and depends on no later step: a
     rollout in the making and, later, its reverse sweep get the same. Less than CROSSOVER sheep

@@ -1,4 +1,5 @@
-"""What one looks at in a flock: its centre, its spread, and whether it has arrived."""
+# SPDX-License-Identifier: Apache-2.0
+"""Observables of a flock: its centre, its spread, and whether it has arrived."""
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ def distance(x: Array, goal: Array) -> Array:
 def arrived(x: Array, goal: Array, initial_spread: float) -> bool:
     """Whether sheep at x (N, 2) [m] are at the goal (2,) [m], and together.
 
-    A flock that the dogs scatter on the way may have its centre at the goal by accident,
-    so an arrival counts only with the flock together.
+    A flock that the dogs scatter may have its centre at the goal by accident,
+    so it has arrived only if it is together.
     """
     return bool(distance(x, goal) < ARRIVAL_DISTANCE and spread(x) <= TOGETHER * initial_spread)

@@ -462,7 +462,7 @@ def adjoint(x: Array, d: Array, source: Array, physics: Physics, dogs: Array) ->
         adjoint_step(x[k], d[k], source[k], physics, h, lam, mu, dogs[k])
 
 
-@kernel
+@inlined
 def adjoint_step(
     x: Array, d: Array, source: Array, physics: Physics, h: Array, lam: Array, mu: Array,
     dogs: Array,
@@ -470,7 +470,7 @@ def adjoint_step(
     """One step back in time, as in `adjoint`; h holds the `hessian_products` of the sheep."""
     n = physics.n
     add_hessians_of_dogs(h[0], h[1], x[0], x[1], mu[0], mu[1], d, dogs, physics.dog)
-    add_external_products(h[0], h[1], x[0], x[1], mu[0], mu[1], physics.external)
+    add_external_products(h, x, mu, physics.external)
     for c in range(2):
         _step_back(lam[c, :n], mu[c, :n], h[c, :n], source[c, :n], physics.dt, physics.alpha)
 
@@ -564,9 +564,7 @@ def centre_adjoints(x: Array, d: Array, nodes: Array, physics: Physics, dogs: Ar
             h[:] = 0.0
             _add_hessians_of_pairs(h[0], h[1], mu[0], mu[1], n, flock, dog)
             np.negative(h[:, sheep:], dogs[k])
-            add_external_products_of_sweeps(
-                h[0], h[1], x[k, 0, :n], x[k, 1, :n], mu[0], mu[1], PATHS, physics.external
-            )
+            add_external_products_of_sweeps(h, x[k], mu, n, PATHS, physics.external)
             for c in range(2):
                 _step_back(
                     lam[c], mu[c, :sheep], h[c, :sheep], no_source, physics.dt, physics.alpha

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The mean-field limit of a large flock, by few characteristics (paper, section 7).
 
 For many sheep, f(t, x, v), the density of the flock in position and velocity, solves
@@ -8,7 +9,7 @@ with rho = int f dv and * the convolution in x. Its characteristics move like sh
 them, each with 1/P of the flock, carry it: blobs of Gaussian shape, so that they feel the
 convolution of a smooth density (the blob method; Craig and Bertozzi 2016). A repulsion of a
 much shorter range than the blobs' width acts as the pressure that it is in the limit, not as
-one between the few.
+a repulsion between the few.
 
 So the limit is a crowd like any other, of P sheep with a mollified potential, and rollout,
 adjoint and mapping are those of every crowd, at a cost that does not depend on N. It stays
@@ -31,8 +32,8 @@ from .state import Array, HerdState
 _OVERLAP = 0.7
 """Width of a blob in units of the distance between two.
 
-Less, and few blobs are no density; more, and the flock has no edge. Measured against 10,000
-sheep, any from 0.6 to 0.8 is as good.
+With less, few blobs do not make a smooth density; with more, the flock has no edge. Measured
+against 10,000 sheep, anything from 0.6 to 0.8 is as good.
 """
 _WIDTHS_PER_OCTAVE = 4
 """Widths are rounded, so that one table serves many windows."""
@@ -41,7 +42,7 @@ _LEAST_WIDTH = 1e-3
 
 
 def mean_field(crowd: Crowd, state: HerdState, markers: int) -> tuple[Crowd, HerdState]:
-    """Return the crowd of so many blobs that stands for the flock, and where it is.
+    """Return a crowd of `markers` blobs that represents the flock, and its state.
 
     Centre and momentum are the flock's. The spread lacks that within the leaves: of the order of
     the distance between two blobs squared, and the same for all controls.

@@ -142,7 +142,7 @@ class Mesh(NamedTuple):
 
 @inlined
 def _place(x: float, y: float, mesh: Mesh) -> tuple[Any, float, float]:
-    """Return the first mesh point of a sheep, and the ways from it in units of the mesh."""
+    """Return the first mesh point of a sheep, and the offsets from it in units of the mesh."""
     gx, gy = (x - mesh.x0) * mesh.per_length, (y - mesh.y0) * mesh.per_length
     column, row = int(gx), int(gy)
     at = np.uint64((row - mesh.first_row) * mesh.stride + column)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The random force on the sheep: sigma(t, x) dB, drawn here and nowhere else.
 
     sigma(t, x) = sigma f(t, x)
@@ -7,9 +8,9 @@ with sigma = Crowd.noise, f = Crowd.noise_field, c = Crowd.common_noise, and ind
 motions W^0 of all and W^i of sheep i. Whatever c is, B^i is a Brownian motion, and the correlation
 of two sheep's is c: 0 is the paper's individual noise, 1 the common noise B^i = B of its remark.
 
-What is drawn is sigma dB, which depends on no state. Whoever integrates multiplies it by f at the
-beginning of each step (Ito). Since the force acts on velocities and f looks at positions alone,
-Stratonovich's reading is the same, and Euler-Maruyama is Milstein's scheme: of strong order 1.
+What is drawn is sigma dB, which depends on no state; `random_force` multiplies it by f at the
+beginning of each step (Ito). Since the force acts on velocities and f depends on positions alone,
+Stratonovich's integral is the same, and Euler-Maruyama is Milstein's scheme: of strong order 1.
 """
 
 from __future__ import annotations
@@ -35,17 +36,17 @@ def increments(rng: np.random.Generator, crowd: Crowd, n: int, dt: float, steps:
 
 @dataclass(frozen=True)
 class NoisePaths:
-    """Noise sigma dB of many paths, as the kernels want it.
+    """Noise sigma dB of many paths, in the layout of the kernels.
 
     blocks (blocks, K, 2, n * PATHS) [m/s]: PATHS paths are integrated at once, those of a
-    sheep side by side. The last block may hold more than is used: `paths` counts.
+    sheep side by side. The last block may hold more paths than the number `paths` that is used.
     """
 
     paths: int
     blocks: Array
 
     def path(self, i: int) -> Array:
-        """Return the noise of path i as `rollout` wants it, (K, 2, lanes) [m/s]."""
+        """Return the noise of path i for `rollout`, (K, 2, lanes) [m/s]."""
         block, lane = divmod(range(self.paths)[i], PATHS)
         values = self.blocks[block, :, :, lane::PATHS]
         out = np.zeros((*values.shape[:2], kernels.lanes(values.shape[2])))
@@ -73,15 +74,15 @@ def _brownian(rng: np.random.Generator, crowd: Crowd, shape: tuple[int, ...]) ->
 
 
 def is_uniform(field: NoiseFunction) -> bool:
-    """Whether sigma is known to be the same everywhere and always."""
+    """Whether sigma is the same everywhere and always, without an evaluation of the field."""
     return isinstance(field, NoiseField) and field.is_uniform
 
 
 def factor(crowd: Crowd, t: float, x: Array) -> Array:
     """Return f(t, x), (N,) or (), at t [s] and the coordinates x (2, N) [m].
 
-    Raises ValueError when the field gives anything but finite numbers of at least 0, one for
-    each place or one for all.
+    Raises ValueError unless the field returns finite numbers of at least 0, one for each place
+    or one for all.
     """
     # A copy: a function that changes its argument does not move sheep.
     places = np.array(x.T, order='C')
@@ -89,19 +90,19 @@ def factor(crowd: Crowd, t: float, x: Array) -> Array:
     try:
         values = np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f'noise_field returned no numbers at t = {t:g} s: {error}') from error
+        raise ValueError(f'noise_field must return numbers at t = {t:g} s: {error}') from error
     wanted = x.shape[1:]
     if values.shape not in (wanted, ()):
         raise ValueError(
-            f'noise_field returned shape {values.shape} at t = {t:g} s for places '
-            f'{places.shape}, allowed is {wanted} or one number'
+            f'noise_field must return shape {wanted} or one number at t = {t:g} s, '
+            f'got {values.shape}'
         )
-    allowed = np.isfinite(values) & (values >= 0.0)
-    if not allowed.all():
-        i = int(np.argmin(allowed))
+    valid = np.isfinite(values) & (values >= 0.0)
+    if not valid.all():
+        i = int(np.argmin(valid))
         raise ValueError(
-            f'noise_field is {values.flat[i]:g} at t = {t:g} s, x = ({x[0, i]:g}, {x[1, i]:g}) m, '
-            'allowed is a finite number of at least 0'
+            f'noise_field must be finite and at least 0, got {values.flat[i]:g} at t = {t:g} s, '
+            f'x = ({x[0, i]:g}, {x[1, i]:g}) m'
         )
     return values
 

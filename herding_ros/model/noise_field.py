@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where and when the random force on sheep is strong: a factor of sigma, by time and place."""
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class NoiseFunction(Protocol):
 
 @dataclass(frozen=True)
 class NoiseField(Parameters):
-    """A factor of sigma that grows along a slope, swings in time and is other in a patch.
+    """A factor of sigma that grows along a slope, swings in time and differs in a patch.
 
     f(t, x) = max(1 + g.x, 0) (1 + a sin(2 pi t / T)) (1 + p exp(-|x - c|^2 / (2 l^2)))
 
@@ -39,15 +40,15 @@ class NoiseField(Parameters):
     """
 
     slope: tuple[float, float] = quantity(
-        (0.0, 0.0), 'sigma grows by this share of itself per metre in x and in y', '1/m', live=True
+        (0.0, 0.0), 'relative growth of sigma per metre in x and in y', '1/m', live=True
     )
     gust: float = quantity(
-        0.0, 'sigma swings up and down by this share of itself', low=0.0, high=1.0, live=True
+        0.0, 'relative amplitude of the swings of sigma', low=0.0, high=1.0, live=True
     )
     period: float = quantity(10.0, 'time from one gust to the next', 's', low=TINY, live=True)
     patch: float = quantity(
         0.0,
-        'sigma is larger by this share of itself in the middle of the patch',
+        'relative increase of sigma in the middle of the patch',
         low=-1.0,
         live=True,
     )

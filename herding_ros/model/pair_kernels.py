@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled loops over near pairs of a big flock: sort, gradients, Hessian products.
+"""The compiled loops over near pairs of a large flock: sort, gradients, Hessian products.
 
 They call nothing of the other kernels, so they may stand in a file of their own. Sheep are
 sorted by cell: strips of the height of the reach, cut into narrow columns, so that all sheep of
@@ -145,7 +145,7 @@ def near_gradients(
     """Add the near gradients between sheep of some rows, and between those and the next row.
 
     ax, ay begin with the first sheep of the first row and end with the last one of the row
-    after the last, and CHUNK more. Each pair is looked at once.
+    after the last, and CHUNK more. Each pair is evaluated once.
     """
     shift = start[rows[0] * cells.columns]
     for row in range(rows[0], rows[1]):

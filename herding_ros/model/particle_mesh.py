@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Forces between many sheep in a time that grows with their number, not with its square.
 
 Particle-particle particle-mesh (Hockney and Eastwood 1988): the potential is split as
@@ -55,7 +56,7 @@ def split(potential: Potential, reach: float) -> tuple[Near, Polynomial]:
 
     The slope as coefficients of powers of r, the smooth part as a polynomial of (r / reach)^2.
     """
-    # NumPy's annotations know arrays of one dimension only, and not in all versions.
+    # NumPy's annotations cover arrays of one dimension only, and not in all versions.
     interpolate: Any = Chebyshev.interpolate
     slope = reach * interpolate(lambda z: potential.derivative(reach * z), 24, domain=[0.5, 1.5])
     wanted = [float(potential.value(np.array(reach)))]
@@ -86,7 +87,7 @@ class Part(NamedTuple):
 
 
 class Flock(NamedTuple):
-    """A flock sorted by cell: x (2, n + CHUNK) [m], `order` says who is where."""
+    """A flock sorted by cell: x (2, n + CHUNK) [m], `order` holds their numbers."""
 
     lanes: int
     x: Array
@@ -211,7 +212,7 @@ class ParticleMesh:
         order = np.empty(self.n, dtype=np.int64)
         start = np.empty(cells.rows * cells.columns + 1, dtype=np.int64)
         if not pair_kernels.sort(x, self.n, cells, order, start):
-            raise ValueError('there are sheep outside the box of the mesh')
+            raise ValueError('all sheep must be in the box of the mesh')
         ordered = np.zeros((2, self.n + CHUNK))
         pair_kernels.take(x, order, ordered)
         begins = start[:: cells.columns]

@@ -1,4 +1,5 @@
-"""The expected centre of a flock by Monte Carlo, to a wanted standard error at little cost.
+# SPDX-License-Identifier: Apache-2.0
+"""Estimators of the expected centre of a flock by Monte Carlo.
 
 An estimator is a chain of models that see the same noise, the last of them the fine model. With
 Y_l the centre in model l less a control variate of mean zero,
@@ -6,11 +7,11 @@ Y_l the centre in model l less a control variate of mean zero,
     E[Y_L] = E[Y_0] + sum_l E[Y_l - Y_(l-1)],
 
 each mean by paths of its own (multilevel Monte Carlo; Giles 2008). A chain of one model is
-common Monte Carlo. What a model leaves out changes what its paths cost, never the expectation.
+plain Monte Carlo. What a model leaves out changes the cost of its paths, not the expectation.
 
 Control variates (Glasserman 2003, section 4.1) are sums of the increments dB with weights that
-are known beforehand. So their mean is exactly zero, whatever the noise on a sheep depends on.
-Their coefficient is one: that of a regression is near it, and would cost a bias.
+do not depend on them, so their mean is exactly zero, whatever the noise on a sheep depends on.
+Their coefficient is one: that of a regression is close to it, and would be biased.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ _LARGE = 512
 
 _STEP_PER_RELAXATION = 0.2
 _LONGEST_STEP = 0.4
-"""Time step of sheep that see the dogs only: in units of 1 / friction, and at most [s].
+"""Time step of sheep that only dogs act on: in units of 1 / friction, and at most [s].
 
 Dogs and their forces hardly change meanwhile.
 """
 _PAIRS_PER_SHEEP = 5.0
-"""What drawing noise for a sheep and moving it costs, in evaluations of the force of a pair."""
+"""Cost of drawing noise for a sheep and moving it, in evaluations of the force of a pair."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class FineModel:
 
     @property
     def at_once(self) -> int:
-        """Number of paths in a block: what is computed at once, side by side in memory."""
+        """Number of paths in a block: those computed at once, side by side in memory."""
         return PATHS if self.sheep <= _LARGE else 1
 
     def draw(self, rng: np.random.Generator, longer: int) -> Array:
@@ -89,20 +90,20 @@ class FineModel:
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely the crowd is computed: in flocks that do not notice each other, and in time.
+    """How finely the crowd is resolved: in flocks that do not interact, and in time.
 
     group: sheep in each of these flocks, the first ones by number, then the next; None: all.
     longer: time step in units of the fine model's, a divisor of their number.
 
     Forces between sheep do not move their centre, and it is the same when two swap places in a
-    collision. So even sheep that see the dogs only have nearly the same centre (`alone`).
+    collision. So even sheep that only dogs act on have nearly the same centre (`alone`).
     """
 
     group: int | None = None
     longer: int = 1
 
     def work(self, fine: FineModel) -> float:
-        """Return what a path costs, in paths of the fine model."""
+        """Return the cost of a path, in paths of the fine model."""
         other = len(fine.state.d) + _PAIRS_PER_SHEEP
         group = self.group or fine.sheep
         whole = 0.5 * (fine.sheep - 1) + other
@@ -169,7 +170,7 @@ def _paths_in_field(
 
 
 def alone(fine: FineModel) -> Resolution:
-    """Sheep that see the dogs only, with a time step as long as friction and dogs allow."""
+    """Return sheep that only dogs act on, with a time step as long as friction and dogs allow."""
     friction = fine.crowd.friction
     longest = min(_LONGEST_STEP, _STEP_PER_RELAXATION / friction if friction else np.inf)
     most = min(max(int(longest / fine.dt * (1.0 + 1e-9)), 1), fine.steps)
@@ -181,15 +182,15 @@ Variate = Callable[[FineModel, Array], Sampler]
 
 
 def no_variate(fine: FineModel, u: Array) -> Sampler:
-    """Leave the centre as it is."""
+    """Return zero: no control variate."""
     return lambda noise: np.zeros((1, 1, 1))
 
 
 def free(fine: FineModel, u: Array) -> Sampler:
     """Return the centre of free sheep, f: f'' = -alpha f' + mean of sigma dB, f = f' = 0 at 0.
 
-    It holds what noise does to the centre directly; what is left is what the dogs' forces make
-    of it. It costs next to nothing.
+    It is the direct effect of the noise on the centre; the effect through the forces of the dogs
+    remains. It costs next to nothing.
     """
 
     def sample(noise: Array) -> Array:
@@ -203,9 +204,9 @@ def free(fine: FineModel, u: Array) -> Sampler:
 
 @dataclass(frozen=True)
 class MonteCarloEstimator:
-    """A chain of models, the fine one last, less a control variate; maybe in antithetic pairs.
+    """A chain of models, the fine one last, less a control variate.
 
-    antithetic: a path is the mean of two with opposite noise. Steps get shorter along the
+    antithetic: each path is the mean of two with opposite noise. Steps get shorter along the
     chain, by whole factors.
     """
 
@@ -216,7 +217,7 @@ class MonteCarloEstimator:
     def levels(self, fine: FineModel) -> tuple[Level, ...]:
         """Return the terms of the sum, from the coarsest model on."""
         chain = self.chain(fine)
-        # The centre of a large flock is known well from the two paths that a variance takes.
+        # The two paths that a variance needs are enough for the centre of a large flock.
         in_pairs = self.antithetic and fine.at_once == PATHS
         return tuple(
             Level(fine, each, below, self.variate, in_pairs)
@@ -236,7 +237,7 @@ class Level:
 
     @property
     def work(self) -> float:
-        """What a path costs, in paths of the fine model."""
+        """Cost of a path, in paths of the fine model."""
         both = [self.resolution] if self.below is None else [self.resolution, self.below]
         return (1 + self.antithetic) * sum(each.work(self.fine) for each in both)
 
@@ -258,7 +259,7 @@ class Level:
 
 
 def interpolate(values: Array, times: int) -> Array:
-    """Return values (K+1, ...) on a time grid so many times as fine, linear in between."""
+    """Return values (K+1, ...) on a time grid that is `times` as fine, linear in between."""
     share = (np.arange(times) / times).reshape(-1, *[1] * (values.ndim - 1))
     between = values[:-1, None] + share * np.diff(values, axis=0)[:, None]
     return np.concatenate((between.reshape(-1, *values.shape[1:]), values[-1:]))
@@ -270,4 +271,4 @@ ESTIMATORS = {
     ),
     'plain': MonteCarloEstimator(),
 }
-"""What a controller can be told: the cheapest under much noise, and common Monte Carlo."""
+"""Estimators by name: the cheapest under much noise, and plain Monte Carlo."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the herd starts: the reference scenario."""
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ def initial_herd(
     Or, if ahead, on the side of the goal. The paper gives no positions; these are our own.
     """
     if sheep < 1 or dogs < 1:
-        raise ValueError(f'a herd needs at least one sheep and one dog, given {sheep} and {dogs}')
+        raise ValueError(
+            f'a herd must have at least one sheep and one dog, got {sheep} sheep and {dogs} dogs'
+        )
     x = rng.uniform(-PASTURE, PASTURE, (sheep, 2))
     side = goal if ahead else -goal
     angles = np.arctan2(side[1], side[0]) + (

@@ -1,4 +1,5 @@
-"""The world: the herd in small noisy steps, and what sensors see of it."""
+# SPDX-License-Identifier: Apache-2.0
+"""The world: the herd in small noisy steps, and noisy observations of it."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from .state import Array, HerdState
 
 @dataclass(frozen=True)
 class World(Parameters):
-    """What the simulated world is like besides the crowd itself."""
+    """The simulated world, apart from the crowd."""
 
     sheep: int = quantity(30, 'number of sheep', low=1, high=1_000_000)
     dogs: int = quantity(5, 'number of dogs', low=1, high=1000)
@@ -54,10 +55,10 @@ def single(values: Array) -> Array:
 
 
 class Simulation:
-    """The herd at the resolution of the sim: advance() with the commands, then look.
+    """The herd at the resolution of the sim: advance() with the commands, then observe().
 
     Everything follows from the seed: the flock, the process noise and the observation noise
-    come from streams of their own, so that looking at the herd does not move it.
+    come from separate streams, so that observing the herd does not change it.
     """
 
     def __init__(self, crowd: Crowd, world: World, goal: Array) -> None:
@@ -86,13 +87,13 @@ class Simulation:
 
     @property
     def arrived(self) -> bool:
-        """Whether the flock, as it is published, is at the goal and together."""
+        """Whether the flock, rounded as it is published, is at the goal and together."""
         return arrived(single(self.state.x), self.goal, self.initial_spread)
 
     def advance(self, u: Array) -> None:
         """Move on by one control period under the dogs' velocities u (M, 2) [m/s].
 
-        Nobody runs faster than the speed limit, whatever is asked for.
+        Commands beyond the speed limit are projected onto it.
         """
         world = self.world
         u = world.motion.project(u, world.max_speed)
@@ -106,7 +107,7 @@ class Simulation:
         self.periods += 1
 
     def observe(self) -> Observation:
-        """Return the state as sensors see it: true values plus independent Gaussian noise."""
+        """Return a noisy observation: true values plus independent Gaussian noise."""
         noise, world = self._sensor.standard_normal, self.world
         x, v, d, u = self.state.x, self.state.v, self.state.d, self.dog_velocities
         return Observation(

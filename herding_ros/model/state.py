@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The state of the herd at an instant, and along a rollout."""
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def finite(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
 
 @dataclass(frozen=True)
 class HerdState:
-    """Where everyone is at an instant.
+    """Sheep and dogs at an instant.
 
     x: (N, 2) positions of the sheep [m]; v: (N, 2) their velocities [m/s]; d: (M, S) states of
     the dogs, the position (x, y) [m] first, see `MotionModel`; N, M >= 1 and S >= 2. Raises

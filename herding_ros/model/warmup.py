@@ -24,14 +24,14 @@ _CONTROL = np.zeros((1, 1, 2))
 
 
 def warm_up_rollout(crowd: Crowd | None = None) -> float:
-    """Call what a simulation calls, on a tiny herd; return the seconds it took."""
+    """Call the kernels of a simulation on a tiny herd; return the seconds it took."""
     started = time.perf_counter()
     rollout(crowd or Crowd(), _STATE, _CONTROL, 0.01)
     return time.perf_counter() - started
 
 
 def warm_up(crowd: Crowd | None = None) -> float:
-    """Call what a controller calls, on a tiny herd; return the seconds it took."""
+    """Call the kernels of a controller on a tiny herd; return the seconds it took."""
     started = time.perf_counter()
     crowd, state, u = crowd or Crowd(), _STATE, _CONTROL
     trajectory = rollout(crowd, state, u, 0.01)
@@ -51,7 +51,7 @@ def warm_up(crowd: Crowd | None = None) -> float:
 
 
 def warm_up_others() -> float:
-    """Call what only large flocks and studies call, on a tiny herd; return the seconds it took."""
+    """Call the kernels of large flocks on a tiny herd; return the seconds it took."""
     started = time.perf_counter()
     crowd, state = Crowd(), _STATE
     x = to_lanes(state.x)
@@ -67,7 +67,7 @@ def main() -> None:
     with ProcessPoolExecutor(2) as pool:
         for done in [pool.submit(warm_up), pool.submit(warm_up_others)]:
             done.result()
-    # What the mean-field limit of a large flock needs besides: sheep known by a table.
+    # The mean-field limit of a large flock also needs sheep with a table.
     warm_up(Crowd(sheep=Mollified(Morse())))
     print(f'kernels ready after {time.perf_counter() - started:.1f} s')
 

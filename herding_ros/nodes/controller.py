@@ -20,22 +20,29 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from herding_ros.control.parameters import Control
 from herding_ros.control.pilot import Announcement, Decision, dog_name, LockstepPilot
 from herding_ros.control.real_time_pilot import RealTimePilot, Timing
 from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.parameters import quantity
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
-from . import messages
+from . import command_line, messages
 from .duplicates import sole_publisher
 from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
 from .observations import Observations
 from .parameters import declare
 from .publishing import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, UNWATCHED
-from .running import run
+from .running import CannotGoOnError, run
 from .settings import declare_control, declare_crowd, NodeSettings
+
+_IN_HELP = (
+    'dogs', 'goal', 'seed', 'crowd.noise', 'max_speed', 'horizon.length', 'horizon.accepted',
+    'lockstep', 'lead', 'state_timeout', 'mapping.paths', 'stamped',
+)  # fmt: skip
 
 _PATH_SPACING = 0.5
 """Time between two poses of a path [s]."""
@@ -67,6 +74,8 @@ class Controller(HerdingNode):
         crowd = declare_crowd(self)
         control = declare_control(self)
         self._control_period = control.horizon.control_period
+        self._first_stamp: int | None = None
+        self._is_period_checked = False
         planner = RecedingHorizon(crowd, control, np.array(settings.goal), settings.seed)
         self._pilot: LockstepPilot | RealTimePilot
         if settings.lockstep:
@@ -137,7 +146,20 @@ class Controller(HerdingNode):
         for _ in self._observations.arrivals(LOCKSTEP_TURN):
             observed = self._observations.complete()
             if observed is not None:
+                self._check_period(observed.stamp)
                 self._carry_out(self._pilot.decide(observed), observed.stamp)
+
+    def _check_period(self, stamp: int) -> None:
+        """Compare the first two observations: in lockstep a command holds until the next one."""
+        elapsed = (stamp - self._first_stamp) * 1e-9 if self._first_stamp is not None else 0.0
+        self._first_stamp = stamp if self._first_stamp is None else self._first_stamp
+        if elapsed > 0.0 and not self._is_period_checked:
+            self._is_period_checked = True
+            if abs(elapsed / self._control_period - 1.0) > 1e-6:
+                raise CannotGoOnError(
+                    'horizon.control_period must be the dt * substeps of the sim in lockstep, '
+                    f'{elapsed:g} s, got {self._control_period:g} s'
+                )
 
     def _keep_time(self) -> None:
         """Give the command for the present control period."""
@@ -237,7 +259,18 @@ _LOG = {
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node."""
+    """Run the node, or print help."""
+    groups = [('', ControllerSettings()), ('', Control()), ('crowd.', Crowd())]
+    command_line.read(
+        'controller',
+        'Herds by space-mapping receding-horizon control: commands for the dogs from '
+        'observations of sheep and dogs.',
+        'publishes: dog_<i>/cmd_vel, plan, herd/path, dog_<i>/path, /diagnostics\n'
+        'subscribes to: sheep, dog_<i>/odom, goal_pose',
+        command_line.rows(groups, _IN_HELP),
+        'controller --ros-args -p dogs:=3 -p use_sim_time:=true -p lead:=5.0',
+        args,
+    )
     return run(Controller, args)
 
 

@@ -29,6 +29,7 @@ from std_srvs.srv import Trigger
 from .. import __version__
 from ..bag.metadata import advice
 from ..bag.writer import BagWriter
+from . import command_line
 from .herding_node import HerdingNode
 from .log_clock import LogClock
 from .parameter_query import ParameterQuery
@@ -257,12 +258,28 @@ class Recorder(HerdingNode):
         self._diagnostics.publish(message)
 
 
+_IN_HELP = [
+    ('bag', 'bag_<time>', 'folder of the bag, which must not exist'),
+    ('topics', '[]', 'full names of the topics to record; none: all'),
+    ('max_bag_size', '0 byte', 'size after which the bag goes on in another file; 0: never'),
+    ('max_bag_duration', '0 s', 'time after which the bag goes on in another file; 0: never'),
+]
+
+
 def main(args: list[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM.
+    """Run the node until SIGINT or SIGTERM, or print help.
 
     Returns 0, 2 when the node cannot start or the bag not be created, 1 when the bag could be
     written no more.
     """
+    command_line.read(
+        'recorder',
+        'Records every topic, as it is on the wire, into a rosbag2 bag (mcap).',
+        'publishes: /diagnostics\nsubscribes to: all topics\nservices: ~/pause, ~/resume',
+        _IN_HELP,
+        'recorder --ros-args -p bag:=my_bag -p use_sim_time:=true',
+        args,
+    )
     # An exception raised by a signal could break a message in two, so there is none: the
     # handler only asks to stop.
     stop = threading.Event()

@@ -24,7 +24,7 @@ from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up_rollout
 
-from . import messages
+from . import command_line, messages
 from .dog_commands import DogCommands
 from .duplicates import sole_publisher
 from .herding_node import HerdingNode
@@ -34,6 +34,11 @@ from .publishing import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, 
 from .running import run
 from .settings import declare_crowd, NodeSettings
 from .simulated_run import SimulatedRun
+
+_IN_HELP = (
+    'sheep', 'dogs', 'seed', 'goal', 'crowd.noise', 'position_noise', 'velocity_noise',
+    'max_speed', 'lockstep', 'real_time_factor', 'stop_on_arrival', 'time_limit',
+)  # fmt: skip
 
 _PERIODS_PER_MARKER = 5
 
@@ -214,7 +219,17 @@ class Sim(HerdingNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node."""
+    """Run the node, or print help."""
+    groups = [('', SimSettings()), ('', World()), ('crowd.', Crowd())]
+    command_line.read(
+        'sim',
+        'Moves the herd, and publishes what sensors would observe of it.',
+        'publishes: sheep, dog_<i>/odom, truth/sheep, truth/dog_<i>/odom, /clock, markers, '
+        '/diagnostics\nsubscribes to: dog_<i>/cmd_vel, goal_pose\nservices: ~/reset, ~/pause',
+        command_line.rows(groups, _IN_HELP),
+        'sim --ros-args -p sheep:=20 -p dogs:=3 -p real_time_factor:=10.0',
+        args,
+    )
     return run(Sim, args)
 
 

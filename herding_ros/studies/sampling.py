@@ -132,7 +132,8 @@ def _draw_errors_and_gains(results: Results, sigmas: list[float], figures: Path)
     figure, ((left, right),) = new(2, 1, width=4.8, height=3.8)
     found = results.of('sampling', sigma=_SHOWN)
     times = np.array([1e-2, 1e1])
-    styles = [(COLOURS[k % len(COLOURS)], '-' if k < len(COLOURS) else '--') for k in range(9)]
+    many = range(len(_WORDS))
+    styles = [(COLOURS[k % len(COLOURS)], '-' if k < len(COLOURS) else '--') for k in many]
     for (name, words), (colour, style) in zip(_WORDS.items(), styles, strict=True):
         if len(found):
             product = float(np.mean(_product(found, name, 'first')))

@@ -26,13 +26,10 @@ NOTHING = Morse(0.0, 1.0, 0.0, 1.0)
 STEPS = 160
 ALL = {
     **ESTIMATORS,
-    'antithetic': MonteCarloEstimator(antithetic=True),
     'free': MonteCarloEstimator(variate=free),
-    'time': MonteCarloEstimator(
-        lambda _: (Resolution(longer=4), Resolution(longer=2), Resolution()), free
+    'levels': MonteCarloEstimator(
+        lambda fine: (alone(fine), Resolution(5, 2), Resolution()), free, antithetic=True
     ),
-    'halves': MonteCarloEstimator(lambda fine: (alone(fine), Resolution(5), Resolution()), free),
-    'single': MonteCarloEstimator(ESTIMATORS['multilevel'].chain, free),
 }
 
 
@@ -91,30 +88,30 @@ def test_plain_is_the_mean_over_paths() -> None:
 
 @pytest.fixture(scope='module')
 def truth() -> Expectation:
-    return found(ESTIMATORS['plain'], 0.0, 20_000, seed=99)
+    return found(ESTIMATORS['plain'], 0.0, 6_000, seed=99)
 
 
 @pytest.mark.parametrize('name', ALL)
 def test_estimates_are_unbiased(name: str, truth: Expectation) -> None:
-    each = found(ALL[name], 0.0, 4_000, seed=1)
+    each = found(ALL[name], 0.0, 1_500, seed=1)
     both = math.hypot(each.standard_error, truth.standard_error)
     assert distance(each.centre, truth.centre) < 3.0 * both
-    assert both < 2e-3
+    assert both < 3e-3
 
 
 @pytest.mark.parametrize('name', ALL)
 def test_standard_error_is_honest(name: str) -> None:
     """The scatter of independent estimates is what they say, and what was asked for."""
     wanted = 4e-3
-    runs = [found(ALL[name], wanted, 10_000, seed) for seed in range(100)]
+    runs = [found(ALL[name], wanted, 10_000, seed) for seed in range(60)]
     said = np.array([each.standard_error for each in runs])
     assert said.max() <= wanted
     scatter = np.var([each.centre for each in runs], axis=0, ddof=1).sum() / STEPS
     # Errors are alike all along the way: chi-square, with one degree per run and coordinate.
-    assert scatter / np.square(said).mean() == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / 200))
+    assert scatter / np.square(said).mean() == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / 120))
 
 
-@pytest.mark.parametrize('name', ['antithetic', 'free', 'multilevel'])
+@pytest.mark.parametrize('name', ['free', 'multilevel'])
 def test_where_noise_acts_linearly_nothing_is_left(name: str) -> None:
     fine = model(Crowd(sheep=NOTHING, dog=NOTHING, noise=0.03))
     each = found(ALL[name], 1e-9, 10_000, fine=fine)
@@ -124,12 +121,12 @@ def test_where_noise_acts_linearly_nothing_is_left(name: str) -> None:
 
 def test_multilevel_is_the_cheapest() -> None:
     """Variance times work does not depend on how much is done."""
-    state = initial_herd(30, 5, np.array([0.5, 0.5]), np.random.default_rng(0))
+    state = initial_herd(20, 3, np.array([0.5, 0.5]), np.random.default_rng(0))
     fine = FineModel(CROWD, state, 0.05, 400, 2)
-    u = np.full((200, 5, 2), 0.02)
+    u = np.full((200, 3, 2), 0.02)
     costs = {}
     for name, estimator in ALL.items():
-        each = ExpectedCentre(fine, estimator, Noise(fine, estimator, 0), 0.0, 400)(u)
+        each = ExpectedCentre(fine, estimator, Noise(fine, estimator, 0), 0.0, 200)(u)
         costs[name] = each.standard_error**2 * each.work
     assert min(costs, key=lambda name: costs[name]) == 'multilevel'
     assert costs['plain'] > 15.0 * costs['multilevel']

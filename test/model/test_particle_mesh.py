@@ -153,7 +153,7 @@ def test_box_and_who_is_in_it() -> None:
     x[0, 3] = 0.53
     assert not sums.holds(x)
     x[0, 3] = 3.0
-    with pytest.raises(ValueError, match='outside the box'):
+    with pytest.raises(ValueError, match='must be in the box'):
         sums.gradients(x)
     x[0, 3] = np.nan
     assert not sums.holds(x)

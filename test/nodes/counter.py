@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Publishes 0, 1, 2, ... as texts on /numbers, a thousand times a second, until it is told to end.
 
 usage: counter.py TIMES BALLAST

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Somebody else's node, with the middleware as it comes; says when it has heard a plan."""
 
 import rclpy

@@ -106,7 +106,7 @@ def test_one_that_is_ending_is_waited_for(start: Callable[..., Any], peer: Any) 
     first = start(name, **SMALL[name])
     peer.spin_until(is_active(peer, name))
     second = start(name, **SMALL[name])
-    second.wait_for(f'waiting for node /{name} to go')
+    second.wait_for(f'waiting for node /{name} to end')
     assert first.end() == 0
     second.wait_for('herding')
 

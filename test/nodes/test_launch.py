@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The launch file, where there is a ROS installation with launch."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The policy for SROS2 against what the live nodes publish, hear, serve and ask."""
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ def test_while_another_node_is_in_the_way(
     start(name, **SMALL[name])
     peer.spin_until(lambda: peer.node.count_publishers(SOLE_TOPIC[name]))
     process = start(name, **SMALL[name])
-    process.wait_for(f'waiting for node /{name} to go')
+    process.wait_for(f'waiting for node /{name} to end')
     process.ends_in_time(number)
 
 

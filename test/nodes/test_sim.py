@@ -26,7 +26,8 @@ from visualization_msgs.msg import MarkerArray
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
-from herding_ros.nodes import messages, sim
+from herding_ros.nodes import messages
+from herding_ros.nodes.pacing import CATCH_UP
 
 
 def flock(cloud: PointCloud2) -> tuple[np.ndarray, np.ndarray]:
@@ -294,8 +295,8 @@ def test_sim_that_was_held_up_makes_up_for_a_second(start: Callable[..., Any], p
         late = pace.lateness() - early
         peer.spin_for(0.6)  # for the next diagnostics
         assert abs(late - skipped(shepherd) * 0.1 / factor) < 0.1 / factor
-        assert (skipped(shepherd) > 0) == (seconds > sim.CATCH_UP)
-    assert late == pytest.approx(3.0 - sim.CATCH_UP, abs=0.2)
+        assert (skipped(shepherd) > 0) == (seconds > CATCH_UP)
+    assert late == pytest.approx(3.0 - CATCH_UP, abs=0.2)
     stamps = [messages.nanoseconds(tick.clock) for tick in shepherd.clock]
     assert set(np.diff(stamps)) == {100_000_000}
 

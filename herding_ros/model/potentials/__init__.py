@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Potentials of two: one file each."""
 
 from .mollified import Mollified

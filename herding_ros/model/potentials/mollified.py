@@ -1,4 +1,5 @@
-"""A potential seen through a Gaussian blur: what blobs of sheep do to each other."""
+# SPDX-License-Identifier: Apache-2.0
+"""A potential convolved with a Gaussian: the interaction of blobs of sheep."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from herding_ros.model.state import Array
 from .potential import Potential
 
 _WINDOW = 8.0
-"""Widths beyond which a Gaussian is nothing (1e-14)."""
+"""Widths beyond which a Gaussian is negligible (1e-14)."""
 _PER_PANEL = 6
 _HALVINGS = 8
 """Panels are halved so often towards distance 0, where potentials may be short and sharp."""

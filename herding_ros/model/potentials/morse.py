@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Morse potential, the paper's."""
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class Morse(Potential):
 
     @property
     def coefficients(self) -> tuple[float, float, float, float]:
-        """(C_r / l_r, 1 / l_r, C_a / l_a, 1 / l_a), what the kernels work with."""
+        """(C_r / l_r, 1 / l_r, C_a / l_a, 1 / l_a), as the kernels take them."""
         return (
             self.repulsion / self.repulsion_length,
             1.0 / self.repulsion_length,
@@ -33,7 +34,7 @@ class Morse(Potential):
         )
 
     def kernel_form(self) -> forms.MorseCoefficients:
-        """Return the coefficients: the kernels know Morse potentials by their formula."""
+        """Return the coefficients: kernels evaluate the formula of Morse potentials."""
         return self.coefficients
 
     def value(self, r: Array) -> Array:

@@ -1,4 +1,5 @@
-"""What every potential is, and how the kernels get to know it."""
+# SPDX-License-Identifier: Apache-2.0
+"""What a potential provides, and its table for the kernels."""
 
 from __future__ import annotations
 
@@ -13,13 +14,13 @@ from herding_ros.model.state import Array
 from . import forms
 
 _FARTHEST = 1e3
-"""Up to this distance a table knows a potential [m]; P'/r is constant beyond."""
+"""A table covers distances up to this [m]; P'/r is constant beyond."""
 
 
 class Potential(Parameters):
     """A radially symmetric potential P(r) [m^2/s^2] of two at a distance r [m].
 
-    Positive slopes pull together, negative ones push apart. A new one is a frozen dataclass
+    Positive slopes attract, negative ones repel. A new one is a frozen dataclass
     with these three methods, each for arrays of any shape, r > 0. The paper asks for bounded
     and locally Lipschitz first and second derivatives.
     """
@@ -42,7 +43,7 @@ class Potential(Parameters):
         return 1e-6
 
     def kernel_form(self) -> forms.PotentialForm:
-        """Return what the kernels work with: a table, unless a potential knows better.
+        """Return the form for the kernels: a table, unless a potential overrides it.
 
         Raises ValueError if a derivative is not finite everywhere in its range.
         """
@@ -67,7 +68,7 @@ def _table(potential: Potential) -> forms.Table:
     for name, values in (('derivative', a), ('second_derivative', slope)):
         if not np.isfinite(values).all():
             raise ValueError(
-                f'{type(potential).__name__}.{name}({r[~np.isfinite(values)][0]:g}) is not '
-                'finite, allowed are finite values at all distances'
+                f'{type(potential).__name__}.{name} must be finite at all distances, got '
+                f'{values[~np.isfinite(values)][0]:g} at {r[~np.isfinite(values)][0]:g}'
             )
     return forms.table(nodes, a, slope)

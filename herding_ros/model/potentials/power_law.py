@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Power laws of the distance, smoothed where they would be singular."""
 
 from __future__ import annotations

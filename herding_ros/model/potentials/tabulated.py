@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A potential from a table, for example from measured data."""
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class Tabulated(Potential):
         values = finite('Tabulated.values', self.values, (len(r),))
         if len(r) < 2 or r[0] < 0.0 or (np.diff(r) <= 0.0).any():
             raise ValueError(
-                f'Tabulated.distances are {r.tolist()}, allowed are at least two increasing '
-                'numbers, none negative'
+                'Tabulated.distances must be at least two increasing numbers of at least 0, '
+                f'got {r.tolist()}'
             )
         object.__setattr__(self, 'distances', tuple(r.tolist()))
         object.__setattr__(self, 'values', tuple(values.tolist()))

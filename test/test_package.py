@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The package as others use it: its public names, its description, its examples."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+import re
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import pytest
+
+import herding_ros
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / 'examples').glob('*.py'))
+
+
+def test_every_public_name_can_be_imported() -> None:
+    for name in herding_ros.__all__:
+        assert getattr(herding_ros, name) is not None
+    assert set(herding_ros.__all__) <= set(dir(herding_ros))
+    with pytest.raises(AttributeError, match="'herding_ros' has no attribute 'wolves'"):
+        _ = herding_ros.wolves
+
+
+def test_type_checkers_see_the_same_names() -> None:
+    source = ast.parse(Path(herding_ros.__file__).read_text(encoding='utf-8'))
+    block = next(node for node in source.body if isinstance(node, ast.If))
+    seen = {
+        alias.name
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert seen == set(herding_ros.__all__) == set(herding_ros._MODULES)
+
+
+def test_importing_the_package_loads_no_model() -> None:
+    program = 'import herding_ros, sys; print("numpy" in sys.modules, "numba" in sys.modules)'
+    out = subprocess.run(
+        [sys.executable, '-c', program], capture_output=True, text=True, check=True
+    )
+    assert out.stdout.split() == ['False', 'False']
+
+
+def test_the_version_is_that_of_the_manifest() -> None:
+    manifest = ElementTree.parse(ROOT / 'package.xml')
+    assert manifest.findtext('version') == herding_ros.__version__
+
+
+def printed_by(name: str, folder: Path) -> str:
+    path = ROOT / 'examples' / name
+    return subprocess.run(
+        [sys.executable, str(path)], cwd=folder, capture_output=True, text=True, check=True
+    ).stdout
+
+
+def test_examples_are_short() -> None:
+    assert len(EXAMPLES) == 3
+    assert all(len(path.read_text(encoding='utf-8').splitlines()) <= 40 for path in EXAMPLES)
+
+
+def test_example_herds_and_plots(tmp_path: Path) -> None:
+    assert 'arrived: True' in printed_by('herd_and_plot.py', tmp_path)
+    assert (tmp_path / 'herd.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_example_keeps_dogs_apart(tmp_path: Path) -> None:
+    without, spaced = map(
+        float, re.findall(r'closest ([\d.]+) m', printed_by('keep_dogs_apart.py', tmp_path))
+    )
+    assert spaced > without + 0.02
+
+
+def test_example_compares_policies(tmp_path: Path) -> None:
+    lines = printed_by('own_policy.py', tmp_path).splitlines()
+    assert [line.split(':')[0] for line in lines] == ['policy', 'optimal control']
+    assert all('True' in line for line in lines)
