@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The coarse problem with SciPy's L-BFGS-B and our value and gradient.
 
-L-BFGS-B knows boxes, but the admissible velocities of a dog form a disc. (SLSQP knows discs, but
-works with dense matrices: on a quarter of the horizon it was not there after 200 evaluations and
+L-BFGS-B handles boxes, but the admissible velocities of a dog form a disc. (SLSQP handles discs,
+but works with dense matrices: on a quarter of the horizon it was not there after 200 evaluations and
 14 s.) So the disc is the image of the plane,
 
     u = u_max tanh(|w|) w / |w|,

@@ -16,7 +16,7 @@ from .recovery import BROKEN, recover, Recovery
 
 _DESCRIPTION = """\
 Make a rosbag2 bag in mcap readable that has no end, since its recorder was killed or the power
-failed, or that was damaged. What is whole is kept, and metadata.yaml is written anew.
+failed, or that was damaged. What is intact is kept, and metadata.yaml is rewritten.
 
 A data file that is whole is left alone. One that is not is copied up to where its records end,
 without the chunks that are damaged, and then kept as NAME.mcap.broken: delete that when you are

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The records of an mcap file that may have been cut off, damaged or made to do harm.
 
-mcap's streaming reader checks the checksums and bounds the size of a record, but believes every
+mcap's streaming reader checks the checksums and bounds the size of a record, but trusts every
 length inside a record. Here no record gets more bytes than it has and no chunk more memory than
 it declares, so that memory depends on `MOST_BYTES` alone and time on the size of the file.
 """

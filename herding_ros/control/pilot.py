@@ -124,7 +124,7 @@ class Pilot:
     """What both pilots share; see `LockstepPilot` and `RealTimePilot`."""
 
     def __init__(self, planner: Planner, dogs: int) -> None:
-        """Plan by `planner`, which nobody else may use, for so many dogs."""
+        """Plan by `planner`, not to be used elsewhere, for so many dogs."""
         self.dogs = dogs
         self.plans_made = self.deadlines_missed = self.plans_failed = 0
         self.estimate: Observed | None = None
@@ -246,7 +246,7 @@ class LockstepPilot(Pilot):
     """
 
     def __init__(self, planner: Planner, dogs: int) -> None:
-        """Plan by `planner`, which nobody else may use, for so many dogs."""
+        """Plan by `planner`, not to be used elsewhere, for so many dogs."""
         self._plan: ScheduledPlan | None = None
         super().__init__(planner, dogs)
 

@@ -62,7 +62,7 @@ class RealTimePilot(Pilot):
     def __init__(
         self, planner: Planner, dogs: int, timing: Timing, clock: Clock, run: Run = run_in_thread
     ) -> None:
-        """Plan by `planner`, which nobody else may use, for so many dogs, each solve by `run`."""
+        """Plan by `planner`, not to be used elsewhere, for so many dogs, each solve by `run`."""
         self._timing = timing
         self._clock = clock
         self._run = run
@@ -113,7 +113,7 @@ class RealTimePilot(Pilot):
         self._first_observation = min(self._first_observation, t)
         waited = t - self._first_observation
         if len(estimate.dogs) < self.dogs and waited <= self._timing.state_timeout:
-            return  # the others may only need a moment more to be heard
+            return  # the odometry of the others may only need a moment more
         self._notice_dogs(estimate.dogs)
         start = self._start_of_next(Request(self._goal, estimate.dogs), t)
         if start is not None:

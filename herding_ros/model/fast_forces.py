@@ -27,7 +27,7 @@ _CHECKED = 256
 _SAFETY = 0.7
 """A sample must keep this part of the bound: the error of the whole flock may be larger."""
 _PERIOD = 32
-"""Steps after which a mesh is prepared anew."""
+"""Steps after which a mesh is prepared again."""
 _MARGIN = 0.02
 """The box is wider than the flock by this part of the flock, on each side, or some more."""
 _BOXES_PER_OCTAVE = 8

@@ -95,7 +95,7 @@ class DogCommands:
         )
 
     def come_from_listeners(self, sensors: Sequence[Publisher]) -> bool:
-        """Whether each dog's commands come from a node that hears all of these publishers."""
+        """Whether each dog's commands come from a node that all of these publishers reach."""
         return all(
             inbox.subscription.get_publisher_count() > 0
             and any(

@@ -147,7 +147,7 @@ def _run(options: argparse.Namespace, logs: Path, console: Console) -> int:
         children = _start_children(options, logs)
         code = _watch(children, watcher, interrupted, console)
     finally:
-        for child in reversed(children):  # the recorder last, so that it hears everything
+        for child in reversed(children):  # the recorder last, so that it receives everything
             child.end()
         watcher.destroy_node()
         rclpy.shutdown()

@@ -23,7 +23,7 @@ LOCKSTEP_TURN = 0.02
 class Inbox:
     """Holds the messages of a topic, as bytes, until they are taken.
 
-    rclpy's executor spends some 200 µs on waking up for a message, since it then looks at
+    rclpy's executor spends some 200 µs on waking up for a message, since it then checks
     everything that a node has. `take` spends 3 and `arrivals` 10.
     """
 

@@ -9,7 +9,7 @@ from .wire import Reader
 
 
 class LogClock:
-    """The time of a simulation as its messages on /clock tell it; it never goes back.
+    """The time of a simulation as its messages on /clock give it; it never goes back.
 
     A reset of the simulation sets its clock back; a bag whose times went back as well would play
     both runs at once.

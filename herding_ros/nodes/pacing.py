@@ -21,7 +21,7 @@ CATCH_UP = 1.0
 """In real time a sim that was held up makes up for so much; what is more is skipped [s]."""
 
 _NEWCOMER_PERIOD = 1.0
-"""Time between two checks for controllers that have not heard the state [s]."""
+"""Time between two checks for controllers that have not received the state [s]."""
 
 
 class Pace(Protocol):
@@ -63,7 +63,7 @@ class Lockstep:
             self.notice_change()
 
     def notice_change(self) -> None:
-        """Advance if all commands are there and nothing stands in the way."""
+        """Advance if all commands are there and nothing prevents it."""
         self._commands.take(self._run.now)
         u = self._commands.complete()
         if u is not None and not self._run.stands:

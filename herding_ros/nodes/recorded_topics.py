@@ -86,7 +86,7 @@ class RecordedTopics:
         return total
 
     def _follow(self, topic: str, types: Sequence[str]) -> list[Received]:
-        """Subscribe to a new topic, or anew to one whose new publisher offers less."""
+        """Subscribe to a new topic, or again to one whose new publisher offers less."""
         publishers = self._node.get_publishers_info_by_topic(topic)
         if not publishers:
             return []
