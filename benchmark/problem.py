@@ -69,7 +69,12 @@ class Problem:
     @cached_property
     def objective(self) -> Objective:
         """The cost of a window."""
-        return Objective([self.tracking, ControlEffort(Control().weights.control)])
+        return Objective([self.tracking, ControlEffort(self.control_weight)])
+
+    @property
+    def control_weight(self) -> float:
+        """Weight gamma of the control [s^2]."""
+        return Control().weights.control
 
     def value_and_gradient(self) -> tuple[float, Array]:
         """Return our value, and our gradient in L2(0, T), (intervals, M, 2)."""

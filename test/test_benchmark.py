@@ -103,7 +103,7 @@ def test_peak_memory_counts_what_was_there_for_a_moment() -> None:
     assert resident('VmHWM') >= before + 250.0
 
 
-def test_help_teaches() -> None:
+def test_help_shows_options_and_outputs() -> None:
     command = [str(ROOT / 'scripts' / 'benchmark'), '--help']
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20)
     assert (done.returncode, done.stderr) == (0, '')

@@ -16,12 +16,13 @@ from typing import Any
 
 import pytest
 
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import World
 from herding_ros.nodes import recorder
 from herding_ros.nodes.controller import ControllerSettings
+from herding_ros.nodes.settings import ControlPreset
 from herding_ros.nodes.sim import SimSettings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,6 +58,11 @@ def crowd_rows() -> Iterator[Row]:
     meaning = 'where the defaults of crowd.* come from'
     yield 'crowd.preset', written('cohesive'), '', ' or '.join(CROWDS), meaning
     yield from rows(CROWDS['cohesive'], 'crowd.', CROWDS)
+
+
+def control_rows() -> Iterator[Row]:
+    yield from rows(ControlPreset())
+    yield from rows(Control(), others=CONTROLS)
 
 
 def recorder_rows() -> Iterator[Row]:
@@ -103,7 +109,7 @@ def section() -> str:
         table('sim: the world', rows(World())),
         table('sim: the node', rows(SimSettings())),
         table('controller: the node', rows(ControllerSettings())),
-        table('controller: the method', rows(Control())),
+        table('controller: the method', control_rows()),
         table('recorder', recorder_rows()),
     ]
     return '\n' + '\n'.join(tables) + '\n'

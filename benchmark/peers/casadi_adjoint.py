@@ -55,7 +55,7 @@ def value_and_gradient(
 
     With compiler_flags, C is written into the working directory and compiled by `gcc`.
     """
-    coarse, objective, tracking = problem.coarse, problem.objective, problem.tracking
+    coarse, tracking, gamma = problem.coarse, problem.tracking, problem.control_weight
     n, m, dt = problem.sheep, problem.dogs, coarse.dt
     x, v, d, u = (
         ca.MX.sym(name, size, 2) for name, size in zip('xvdu', (n, n, m, m), strict=True)
@@ -79,9 +79,9 @@ def value_and_gradient(
     of_steps = ca.reshape(ca.repmat(control, coarse.substeps, 1), 2 * m, steps)
     start = np.concatenate([a.T.ravel() for a in (coarse.state.x, coarse.state.v, coarse.state.d)])
     states = step.mapaccum(steps)(start, of_steps)
-    effort = ca.sumsqr(control - _columns(objective.control_reference))
+    effort = ca.sumsqr(control)
     value = ca.sum2(cost_of_step.map(steps)(states[: 2 * n, :], tracking.reference[1:].T))
-    value += 0.5 * coarse.interval * objective.control_weight * effort
+    value += 0.5 * coarse.interval * gamma * effort
     options: dict[str, Any] = {}
     if compiler_flags:
         jit = {'flags': list(compiler_flags), 'linker_flags': ['-lmvec', '-lm'], 'compiler': 'gcc'}

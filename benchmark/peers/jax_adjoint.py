@@ -46,7 +46,7 @@ def _plain_force(x: Any, y: Any, p: tuple[float, float, float, float]) -> Any:
 def value_and_gradient(problem: Problem, tuned: bool = True) -> Callable[[], tuple[float, Array]]:
     """Return a compiled function of nothing: value, and gradient in L2(0, T)."""
     force_of = _force if tuned else _plain_force
-    coarse, objective, tracking = problem.coarse, problem.objective, problem.tracking
+    coarse, tracking, gamma = problem.coarse, problem.tracking, problem.control_weight
     crowd, dt, n = coarse.crowd, coarse.dt, problem.sheep
     start = tuple(jnp.asarray(a.T) for a in (coarse.state.x, coarse.state.v, coarse.state.d))
     wanted = jnp.asarray(tracking.reference[1:])
@@ -64,8 +64,8 @@ def value_and_gradient(problem: Problem, tuned: bool = True) -> Callable[[], tup
         centre = x.mean(2)
         distance = tracking.centre_weight * jnp.square(centre - wanted).sum()
         distance += tracking.spread_weight / n * jnp.square(x - centre[:, :, None]).sum()
-        effort = jnp.square(u - objective.control_reference).sum()
-        effort *= coarse.interval * objective.control_weight
+        effort = jnp.square(u).sum()
+        effort *= coarse.interval * gamma
         return 0.5 * (dt * distance + effort)
 
     compiled = jax.jit(jax.value_and_grad(value))

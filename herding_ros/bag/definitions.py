@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The text of a message type with those of all types it uses, as a bag keeps it."""
+"""The definition of a message type with those of all types it uses, as a bag keeps it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ament_index_python.packages import get_package_share_directory, PackageNotF
 
 _TYPE_NAME = re.compile(r'(\w+)/(?:msg/)?(\w+)')
 
-# A field's type at the start of a line; a bounded string (string<=8) is no type of its own.
+# A field's type at the start of a line; a bounded string (string<=8) is not a type of its own.
 _FIELD_TYPE = re.compile(r'^[ \t]*([a-zA-Z][\w/]*)(?:\[[^\]]*\])?[ \t]', re.MULTILINE)
 
 _PRIMITIVE_TYPES = {
@@ -23,11 +23,11 @@ _PRIMITIVE_TYPES = {
 def message_text(type_name: str) -> str:
     """Return the .msg file of a type, from the share folder of the type's package.
 
-    Raises ValueError when the name is no message type's or the file is not there.
+    Raises ValueError when the name is not that of a message type or the file is not there.
     """
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
-        raise ValueError(f'{type_name!r} is no message type: expected package/msg/Type')
+        raise ValueError(f'a message type must be package/msg/Type, got {type_name!r}')
     package, name = match.groups()
     try:
         share = Path(get_package_share_directory(package))
@@ -43,10 +43,10 @@ def message_text(type_name: str) -> str:
 
 
 def message_definition(type_name: str, text_of: Callable[[str], str] = message_text) -> str:
-    """Return the text of a type, followed by those of the types it uses, each once.
+    """Return the definition of a type, followed by those of the types it uses, each once.
 
     Each of the latter comes after a line of 80 equal signs and a line `MSG: package/Type`:
-    the encoding `ros2msg` of rosbag2. `text_of` gives the text of a single type.
+    the encoding `ros2msg` of rosbag2. `text_of` gives the definition of a single type.
 
     Raises what `text_of` raises.
     """

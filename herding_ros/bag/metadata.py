@@ -137,7 +137,7 @@ def bag_map(
     """Return the map that describes a bag of these files.
 
     `compression` is the format and the mode of what rosbag2 compresses by itself, whole files or
-    messages; that of the chunks within a file is none of the map's business.
+    messages; that of the chunks within a file is not in the map.
     """
     full = [file for file in files if file.message_count]
     first_ns = min((file.first_ns for file in full), default=0)
@@ -189,7 +189,7 @@ def write_metadata(folder: Path, content: Mapping[str, Any]) -> None:
     Raises OSError.
     """
     partial = folder / (FILE_NAME + '.partial')
-    partial.unlink(missing_ok=True)  # a link there would lead the text out of the folder
+    partial.unlink(missing_ok=True)  # a link there would lead out of the folder
     with partial.open('x', encoding='utf-8') as stream:
         stream.write(to_yaml({ROOT_KEY: dict(content)}))
     partial.replace(folder / FILE_NAME)

@@ -61,7 +61,7 @@ class PartWriter:
         self.information = FileInformation(path.name)
         self._path = path
         self._stream = path.open('xb')
-        with suppress(OSError):  # some network disks know no locks
+        with suppress(OSError):  # some network disks have no locks
             fcntl.flock(self._stream, fcntl.LOCK_EX)  # so that `recover` leaves it alone
         # Its chunks are ended by flush() alone.
         self._mcap = Writer(self._stream, chunk_size=2**62, compression=CompressionType.NONE)

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import fields
 import json
 import os
-from pathlib import Path, PurePath
+from pathlib import Path
 import re
 from typing import Any
 
@@ -23,11 +24,11 @@ from rosbags.typesys import get_typestore, Stores
 
 from ..point_cloud import points
 from .inspection import inspect
-from .metadata import advice, read_metadata
+from .metadata import advice, file_names, read_metadata, string_map
 from .recorded_run import Array, RecordedRun, Replan, Topic
 
 PLAN_STATUS = 'controller: plan'
-"""Name of the diagnostic status that tells of a replan."""
+"""Name of the diagnostic status of a replan."""
 
 Series = list[tuple[int, Any]]
 """The messages of a topic with their stamps [ns], which never decrease."""
@@ -53,20 +54,18 @@ def read_run(path: str | os.PathLike[str]) -> RecordedRun:
 def _check_files(folder: Path, metadata: dict[str, Any]) -> None:
     """Raise ValueError unless all data files are whole.
 
-    AnyReader takes the room that a file asks for, and does not tell all damages.
+    AnyReader allocates what a file asks for, and does not report every damage.
     """
     mode = str(metadata.get('compression_mode') or 'none').lower()
     if mode != 'none':
         raise ValueError(
             f'the bag {folder} is compressed by rosbag2, mode {mode}: write it anew without by '
-            '`ros2 bag convert`; compression by mcap is allowed'
+            '`ros2 bag convert`; compression by mcap can be read'
         )
-    if metadata.get('storage_identifier') != 'mcap':
-        return
     for file in _files(folder, metadata):
-        if not file.is_file():
-            raise ValueError(f'the bag {folder} is damaged: {file.name} is missing')
-        faults = inspect(file).faults
+        if file.is_symlink() or not file.is_file():
+            raise ValueError(f'the bag {folder} is damaged: {file.name} is missing or not a file')
+        faults = inspect(file).faults if metadata.get('storage_identifier') == 'mcap' else []
         if faults:
             raise ValueError(
                 f'the bag {folder} is damaged: {file.name}, {faults[0]}; {advice(folder)}'
@@ -74,8 +73,7 @@ def _check_files(folder: Path, metadata: dict[str, Any]) -> None:
 
 
 def _files(folder: Path, metadata: dict[str, Any]) -> list[Path]:
-    # Only the name of each: a bag is read from its own folder and nowhere else.
-    return [folder / PurePath(path).name for path in metadata['relative_file_paths']]
+    return [folder / name for name in file_names(metadata)]
 
 
 def _read(reader: AnyReader, folder: Path, metadata: dict[str, Any]) -> RecordedRun:
@@ -87,17 +85,17 @@ def _read(reader: AnyReader, folder: Path, metadata: dict[str, Any]) -> Recorded
             f'the bag {folder} has no states: they are in /truth/sheep or /sheep, and in '
             f'/truth/dog_1/odom or /dog_1/odom, but there is only {", ".join(names) or "nothing"}'
         )
-    told = _of_each_dog(names, '', 'cmd_vel')
-    series = _series(reader, [sheep, *dogs, *told, '/goal_pose', '/diagnostics'])
+    commanded = _of_each_dog(names, '', 'cmd_vel')
+    series = _series(reader, [sheep, *dogs, *commanded, '/goal_pose', '/diagnostics'])
     empty = [topic for topic in (sheep, *dogs) if not series[topic]]
     if empty:
         raise ValueError(f'the bag {folder} has no messages of {", ".join(empty)}')
 
-    custom_data = metadata.get('custom_data') or {}
+    custom_data = string_map(metadata.get('custom_data'))
     parameters = json.loads(custom_data.get('parameters', '{}'))
     start = series[sheep][0][0]
     times, x, v = _flock(series[sheep], start)
-    command_times, commands = _commands([series[topic] for topic in told], start)
+    command_times, commands = _commands([series[topic] for topic in commanded], start)
     return RecordedRun(
         times=times,
         x=x,
@@ -170,8 +168,8 @@ def _commands(of_dogs: list[Series], start: int) -> tuple[Array, Array]:
     commands = np.zeros((len(times), len(of_dogs), 2))
     for m, series in enumerate(of_dogs):
         twists: list[Any] = [getattr(message, 'twist', message) for _, message in series]
-        told = np.array([(0.0, 0.0), *((twist.linear.x, twist.linear.y) for twist in twists)])
-        commands[:, m] = told[np.searchsorted(seconds[m], times, side='right')]
+        sent = np.array([(0.0, 0.0), *((twist.linear.x, twist.linear.y) for twist in twists)])
+        commands[:, m] = sent[np.searchsorted(seconds[m], times, side='right')]
     return times, commands
 
 
@@ -192,7 +190,7 @@ def _goal(series: dict[str, Series], parameters: dict[str, dict[str, Any]], fold
             if 'goal_x' in values and 'goal_y' in values:
                 return np.array([float(values['goal_x']), float(values['goal_y'])])
     raise ValueError(
-        f'the bag {folder} tells of no destination: there is neither a message on /goal_pose '
+        f'the bag {folder} has no destination: there is neither a message on /goal_pose '
         f'nor a parameter goal of /controller, nor a status "{PLAN_STATUS}" that names it'
     )
 
@@ -216,19 +214,10 @@ def _values(status: Any) -> dict[str, str]:
 
 
 def _replan(time: float, number: int, values: dict[str, str]) -> Replan:
-    return Replan(
-        time=time,
-        number=number,
-        status=values.get('status', ''),
-        **{
-            name: float(values.get(name, 'nan'))
-            for name in (
-                *('solve_ms', 'objective', 'gradient_norm'),
-                *('optimiser_iterations', 'optimiser_calls', 'mapping_iterations'),
-                *('mapping_error_before', 'mapping_error_after', 'deadline_margin_s'),
-            )
-        },
-    )
+    """Return what the controller said of a replan; a number's name is that of its field."""
+    status = values.get('status', '')
+    names = {field.name for field in fields(Replan)} - {'time', 'number', 'status'}
+    return Replan(time, number, status, **{n: float(values.get(n, 'nan')) for n in names})
 
 
 def _wall_seconds(reader: AnyReader, topic: str, folder: Path, metadata: dict[str, Any]) -> float:
@@ -236,7 +225,7 @@ def _wall_seconds(reader: AnyReader, topic: str, folder: Path, metadata: dict[st
 
     Bags in mcap keep when a message was published; the log time may be a simulation's.
     """
-    if metadata['storage_identifier'] == 'mcap':
+    if metadata.get('storage_identifier') == 'mcap':
         published = []
         for file in _files(folder, metadata):
             with file.open('rb') as stream:

@@ -51,7 +51,7 @@ class RecordedRun:
 
     times: (T,) [s] from the first state; x: (T, N, 2) positions of the sheep [m];
     v: (T, N, 2) their velocities [m/s]; d: (T, M, 2) positions of the dogs [m];
-    command_times: (K,) [s]; commands: (K, M, 2) what the dogs were told [m/s], each until the
+    command_times: (K,) [s]; commands: (K, M, 2) the commands to the dogs [m/s], each until the
     next; goal: (2,) the last destination [m]; parameters: of each node by its full name;
     version: of the package that recorded, or ''; wall_s: wall time from the first to the last
     state [s].

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from io import BytesIO
+import struct
 from typing import Any, BinaryIO, cast, NamedTuple
 import zlib
 
 import lz4.frame  # type: ignore[import-untyped]
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Chunk, McapRecord
+from mcap.records import Chunk, McapRecord, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 import zstandard
@@ -27,6 +28,8 @@ MOST_BYTES = 256 * 1024 * 1024
 _MOST_ENTRIES = 16 * 1024 * 1024
 """No record but chunks, messages and attachments is read that is larger [byte]."""
 
+_HEAD = struct.Struct('<BQ')  # opcode and length of a record
+_MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time and publish time
 _LARGE = {Opcode.CHUNK, Opcode.MESSAGE, Opcode.ATTACHMENT}
 
 
@@ -47,9 +50,12 @@ class DamageError(ValueError):
 
 
 def is_mcap(stream: BinaryIO) -> bool:
-    """Whether a file begins as mcap does; one of fewer than eight bytes may have been cut off."""
+    """Whether a file begins as mcap does, as far as it has been written.
+
+    One that begins with zeros may have been reserved by a recorder that was killed.
+    """
     stream.seek(0)
-    return MCAP0_MAGIC.startswith(stream.read(len(MCAP0_MAGIC)))
+    return MCAP0_MAGIC.startswith(stream.read(len(MCAP0_MAGIC)).rstrip(b'\0'))
 
 
 def records(stream: BinaryIO) -> Iterator[Found]:
@@ -69,23 +75,38 @@ def records(stream: BinaryIO) -> Iterator[Found]:
 
 
 def records_in(chunk: Chunk) -> list[Found]:
-    """Return the records of a chunk, each with its place in the decompressed data.
+    """Return the schemas, channels and messages of a chunk with their place in its data.
 
-    Raises DamageError unless all of the chunk is whole.
+    Raises DamageError unless all of the chunk is whole. Messages come by the million, so they are
+    taken apart here, which is ten times as fast as in mcap.
     """
-    reader = _Reader(BytesIO(_decompressed(chunk)), within_chunk=True)
+    data = _decompressed(chunk)
     found: list[Found] = []
-    try:
-        for record in reader.records:
-            found.append(Found(reader.start, reader.end, record))
-    except (McapError, ValueError) as error:
-        if not (isinstance(error, EndOfFile) and reader.at_end):
-            raise DamageError(error, reader.end) from error
+    start = 0
+    while start < len(data):
+        try:
+            opcode, length = _HEAD.unpack_from(data, start)
+            end = start + _HEAD.size + length
+            least = _MESSAGE.size if opcode == Opcode.MESSAGE else 0
+            if not opcode or end > len(data) or length < least:
+                raise ValueError('a chunk must consist of whole records')
+            if opcode == Opcode.MESSAGE:
+                place = start + _HEAD.size
+                channel, sequence, logged, published = _MESSAGE.unpack_from(data, place)
+                content = data[place + _MESSAGE.size : end]
+                message = Message(channel, logged, content, published, sequence)
+                found.append(Found(start, end, message))
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                reader = _Reader(BytesIO(data[start:end]), within_chunk=True)
+                found.append(Found(start, end, next(reader.records)))
+        except (McapError, ValueError, struct.error) as error:
+            raise DamageError(error, start) from error
+        start = end
     return found
 
 
 class _Reader(StreamReader):
-    """mcap's streaming reader, which knows where the last whole record was: `start` to `end`."""
+    """mcap's streaming reader, and where the last whole record was: `start` to `end`."""
 
     def __init__(self, stream: BinaryIO, within_chunk: bool = False) -> None:
         self._source = _Source(stream)
@@ -97,11 +118,6 @@ class _Reader(StreamReader):
             record_size_limit=MOST_BYTES,
         )
         self.start = self.end = 0
-
-    @property
-    def at_end(self) -> bool:
-        """Whether the last record is whole and nothing follows it."""
-        return self.end == self._source.size
 
     @property
     def left(self) -> int:

@@ -41,7 +41,7 @@ class BagWriter:
     ) -> None:
         """Create the folder and start the first file.
 
-        `custom_data` are texts kept in the bag's metadata. A file that has reached `max_size`
+        `custom_data` are strings kept in the bag's metadata. A file that has reached `max_size`
         bytes, or would span more than `max_duration_ns` in log time, is followed by another one;
         0: never.
 
@@ -109,7 +109,7 @@ class BagWriter:
     ) -> None:
         """Add a topic, before its first message.
 
-        `type_name` is of the form package/msg/Type, `definition` its text with those of the
+        `type_name` is of the form package/msg/Type, `definition` its own with those of the
         types it uses (see `definitions.message_definition`), `qos_profiles` as in
         `TopicInformation`, `type_hash` of the form RIHS01_<hexadecimal digits>.
 
@@ -134,11 +134,11 @@ class BagWriter:
         self.message_count += 1
 
     def flush(self) -> None:
-        """Make sure that a killed process loses none of what was written. Raises OSError."""
+        """Make sure that a kill costs nothing of what was written. Raises OSError."""
         self._part.flush()
 
     def set_custom_data(self, custom_data: Mapping[str, str]) -> None:
-        """Replace the texts kept in the bag's metadata.
+        """Replace the strings kept in the bag's metadata.
 
         They go into the file at once: so they are there even if the bag is never closed.
         Raises OSError when the disk refuses.

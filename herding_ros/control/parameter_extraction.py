@@ -13,7 +13,7 @@ from .added_cost import AddedCost
 from .coarse_model import CentreSensitivity, CoarseModel
 from .costs.cost import Cost
 from .gauss_newton import gauss_newton
-from .solution import Budget, never, OutOfTime, Problem, Projection
+from .solution import Budget, never, OutOfTime, Problem, Projection, ValueAndGradient
 
 _T = TypeVar('_T')
 
@@ -64,11 +64,22 @@ class ParameterExtraction:
 
         Uses one linearisation for all u, since what it misses is a defect like any other.
         """
-        return self._search(target, u, u, damping, lambda _: self._sensitivity(self._u_coarse))
+        added = self._added
+        return self._search(
+            target, u, u, damping, added, lambda _: self._sensitivity(self._u_coarse)
+        )
 
     def extract(self, target: Array, start: Array) -> Array:
         """Return the control near u_c under which the centre is at target, searched from start."""
-        return self._search(target, start, self._u_coarse, self._gamma, self._sensitivity)
+        u_coarse, added = self._u_coarse, self._added
+
+        def mirrored(u: Array) -> tuple[float, Array]:
+            assert added is not None
+            value, gradient = added(2.0 * u_coarse - u)
+            return value, -gradient
+
+        further = None if added is None else mirrored
+        return self._search(target, start, u_coarse, self._gamma, further, self._sensitivity)
 
     def _search(
         self,
@@ -76,17 +87,18 @@ class ParameterExtraction:
         start: Array,
         anchor: Array,
         damping: float,
+        further: ValueAndGradient | None,
         linearise: Callable[[Array], CentreSensitivity],
     ) -> Array:
-        coarse, added = self._coarse, self._added
+        coarse = self._coarse
         nodes = linearise(start)
 
         def regulariser(u: Array) -> tuple[float, Array]:
             change = u - anchor
             value, gradient = 0.5 * damping * coarse.inner(change, change), damping * change
-            if added is None:
+            if further is None:
                 return value, gradient
-            more, more_gradient = added(u)
+            more, more_gradient = further(u)
             return value + more, gradient + more_gradient
 
         found = gauss_newton(

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.expectation import ExpectedCentre, Noise
+from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.sampling import ESTIMATORS, FineModel
@@ -111,16 +111,16 @@ class RecedingHorizon:
         with clock.phase('coarse'):
             solution, costs = self._solve_coarse(coarse, t, partial(no_time_for, 'coarse'))
             wanted = centre(coarse.rollout(solution.u).x)
-        extraction_calls, expected = 0, []
-        if control.mapping.max_iterations and not no_time_for(FINE):
+        expected: list[Expectation] = []
+        extraction_calls = 0
+        if not control.mapping.max_iterations:
+            mapping = MappingResult(solution.u, wanted, Status.CONVERGED)
+        elif no_time_for(FINE):
+            mapping = MappingResult(solution.u, wanted, Status.OUT_OF_TIME)
+        else:
             out_of_time = partial(no_time_for, EXTRACTION)
             extraction = ParameterExtraction(
-                coarse,
-                self._admissible,
-                solution.u,
-                control.weights.control,
-                costs,
-                out_of_time,
+                coarse, self._admissible, solution.u, control.weights.control, costs, out_of_time
             )
             expectation = self._expectation(state, t)
 
@@ -134,28 +134,8 @@ class RecedingHorizon:
             problem = MappingProblem(clock.timing('fine', fine), misfit, solution.u)
             mapping = self._map(problem, extraction, coarse, clock, no_time_for)
             extraction_calls = extraction.calls
-        else:
-            left_out = Status.OUT_OF_TIME if control.mapping.max_iterations else Status.CONVERGED
-            mapping = MappingResult(solution.u, wanted, left_out, (), ())
-        plan = Plan(t, horizon.control_period, mapping.u)
-        self._last = plan
-        report = SolveReport(
-            status=solution.status,
-            objective=solution.value,
-            gradient_norm=solution.gradient_norm,
-            optimiser_iterations=solution.iterations,
-            optimiser_calls=solution.calls,
-            fine_calls=len(expected),
-            paths=expected[0].paths if expected else (),
-            standard_error=max((each.standard_error for each in expected), default=0.0),
-            extraction_calls=extraction_calls,
-            mapping_status=mapping.status,
-            mapping_iterations=mapping.iterations,
-            mapping_residuals=mapping.residuals,
-            mapping_error_before=mapping.misfits[0] if mapping.misfits else 0.0,
-            mapping_error_after=min(mapping.misfits, default=0.0),
-            seconds=clock.seconds(),
-        )
+        plan = self._last = Plan(t, horizon.control_period, mapping.u)
+        report = SolveReport.of(solution, mapping, expected, extraction_calls, clock.seconds())
         dogs = coarse.dogs(plan.u)[:, :2].transpose(0, 2, 1)
         return Window(plan, report, horizon.dt, mapping.output, dogs)
 
@@ -167,21 +147,21 @@ class RecedingHorizon:
         Most of it is done on the control's own time grid, where a step is cheaper. Also return
         the costs on the finer one, control effort apart.
         """
-        horizon, weights, optimiser = (
-            self.control.horizon, self.control.weights, self.control.optimiser
-        )  # fmt: skip
+        horizon, optimiser = self.control.horizon, self.control.optimiser
+        gamma = self.control.weights.control
         u: Array = np.zeros((horizon.intervals, len(coarse.state.d), 2))
         if self._last is not None and self._last.u.shape == u.shape:
             u = self._last.shifted(t).u
-        solutions, costs = [], []
+        solutions: list[Solution] = []
+        costs: list[Cost] = []
         limit = optimiser.max_iterations
         for substeps in sorted({1, coarse.substeps}):
             model = replace(coarse, dt=coarse.interval / substeps, substeps=substeps)
             steps = horizon.intervals * substeps
             times = model.dt * np.arange(steps + 1, dtype=np.float64)
             route = reference(self.control.reference, coarse.state, self.goal, times)
-            costs = [*weighted_costs(weights, route), *self.costs]
-            objective = Objective([*costs, ControlEffort(weights.control)])
+            costs = [*weighted_costs(self.control.weights, route), *self.costs]
+            objective = Objective([*costs, ControlEffort(gamma)])
             problem = Problem(
                 partial(model.value_and_gradient, objective), self._admissible, model.inner
             )

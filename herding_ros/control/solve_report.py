@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 import time
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TYPE_CHECKING, TypeVar
 
-from .solution import Status
+from .solution import Solution, Status
+
+if TYPE_CHECKING:
+    from herding_ros.model.expectation import Expectation
+
+    from .space_mapping import MappingResult
 
 _P = ParamSpec('_P')
 _T = TypeVar('_T')
@@ -44,6 +49,34 @@ class SolveReport:
     """The same under the plan that was chosen."""
     seconds: dict[str, float]
     """Time per phase: coarse (solve), fine (Monte Carlo), extraction; and in total."""
+
+    @classmethod
+    def of(
+        cls,
+        solution: Solution,
+        mapping: MappingResult,
+        expected: Sequence[Expectation],
+        extraction_calls: int,
+        seconds: dict[str, float],
+    ) -> SolveReport:
+        """Return the report of a coarse solution, its correction, and the fine evaluations."""
+        return cls(
+            status=solution.status,
+            objective=solution.value,
+            gradient_norm=solution.gradient_norm,
+            optimiser_iterations=solution.iterations,
+            optimiser_calls=solution.calls,
+            fine_calls=len(expected),
+            paths=expected[0].paths if expected else (),
+            standard_error=max((each.standard_error for each in expected), default=0.0),
+            extraction_calls=extraction_calls,
+            mapping_status=mapping.status,
+            mapping_iterations=mapping.iterations,
+            mapping_residuals=mapping.residuals,
+            mapping_error_before=mapping.misfits[0] if mapping.misfits else 0.0,
+            mapping_error_after=min(mapping.misfits, default=0.0),
+            seconds=seconds,
+        )
 
     def values(self) -> dict[str, float | str]:
         """Return everything as numbers and strings by name, as in /diagnostics and bags.

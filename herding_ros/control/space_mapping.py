@@ -52,8 +52,8 @@ class MappingResult:
     u: Array
     output: Array
     status: Status
-    residuals: tuple[float, ...]
-    misfits: tuple[float, ...]
+    residuals: tuple[float, ...] = ()
+    misfits: tuple[float, ...] = ()
 
     @property
     def iterations(self) -> int:

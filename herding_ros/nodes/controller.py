@@ -20,7 +20,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from herding_ros.control.parameters import Control
 from herding_ros.control.pilot import Announcement, Decision, dog_name, LockstepPilot
 from herding_ros.control.real_time_pilot import RealTimePilot, Timing
 from herding_ros.control.receding_horizon import RecedingHorizon
@@ -36,7 +35,7 @@ from .observations import Observations
 from .parameters import declare
 from .publishing import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, UNWATCHED
 from .running import run
-from .settings import declare_crowd, NodeSettings
+from .settings import declare_control, declare_crowd, NodeSettings
 
 _PATH_SPACING = 0.5
 """Time between two poses of a path [s]."""
@@ -66,7 +65,7 @@ class Controller(HerdingNode):
         super().__init__('controller')
         self._settings = settings = declare(self, ControllerSettings())
         crowd = declare_crowd(self)
-        control = declare(self, Control())
+        control = declare_control(self)
         self._control_period = control.horizon.control_period
         planner = RecedingHorizon(crowd, control, np.array(settings.goal), settings.seed)
         self._pilot: LockstepPilot | RealTimePilot

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that sim and controller share: those of a node, and the crowd's.
+"""Parameters of nodes, of the crowd, and of the control, whose defaults presets give.
 
 Apart from parameters.py because the crowd imports compiled kernels, which a recorder does not
 need.
@@ -11,6 +11,7 @@ import dataclasses
 
 from rclpy.node import Node
 
+from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import Parameters, quantity
 from herding_ros.model.scenario import GOAL
@@ -52,3 +53,19 @@ def declare_crowd(node: Node) -> Crowd:
     """Declare the crowd: `crowd.preset` gives the defaults of the other `crowd.` parameters."""
     preset = declare(node, Preset(), 'crowd.').preset
     return declare(node, CROWDS[preset], 'crowd.')
+
+
+@dataclasses.dataclass(frozen=True)
+class ControlPreset(Parameters):
+    """Where the controller's defaults come from."""
+
+    preset: str = quantity(
+        'default',
+        "where the method's defaults come from: paper is the paper's own setting",
+        choices=tuple(CONTROLS),
+    )
+
+
+def declare_control(node: Node) -> Control:
+    """Declare the method of the controller: `preset` gives the defaults of its parameters."""
+    return declare(node, CONTROLS[declare(node, ControlPreset()).preset])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable
 import dataclasses
 
@@ -5,7 +6,9 @@ import numpy as np
 import pytest
 
 from herding_ros.control.coarse_model import CoarseModel
-from herding_ros.control.objective import Objective
+from herding_ros.control.costs.control_effort import ControlEffort
+from herding_ros.control.costs.leash import Leash
+from herding_ros.control.objective import Objective, weighted_costs
 from herding_ros.control.parameters import Weights
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.mean_field import mean_field
@@ -41,7 +44,8 @@ def problem(random_herd: HerdMaker) -> Callable[..., Problem]:
             **{} if observable else dict(zip(OTHERS, rng.uniform(0.1, 1.0, 4), strict=True)),
         )
         reference = rng.normal(0.0, 1.0, (intervals * substeps + 1, 2))
-        objective = Objective.weighted(weights, reference, rng.normal(0.0, 0.05, shape))
+        effort = ControlEffort(weights.control, rng.normal(0.0, 0.05, shape))
+        objective = Objective([*weighted_costs(weights, reference), effort])
         return coarse, objective, rng.normal(0.0, 0.05, shape)
 
     return make
@@ -131,13 +135,12 @@ def test_dogs_may_move_in_other_ways(problem: Callable[..., Problem]) -> None:
     dogs = np.concatenate([coarse.state.d, np.full((3, 2), 0.1)], axis=1)
     herd = dataclasses.replace(coarse.state, d=dogs)
     cart = dataclasses.replace(coarse, state=herd, motion=Cart())
-    objective, u = dataclasses.replace(objective, leash=None), 10.0 * u
-    assert_second_order((cart, objective, u))
-    assert_sensitivity(cart, u, 7)
+    assert_second_order((cart, objective, 10.0 * u))
+    assert_sensitivity(cart, 10.0 * u, 7)
 
 
 @presets
-@pytest.mark.parametrize('n', range(1, 18))
+@pytest.mark.parametrize('n', [1, 7, 8, 9, 17])
 def test_every_component_agrees_with_central_differences(
     problem: Callable[..., Problem], preset: str, n: int
 ) -> None:
@@ -162,10 +165,11 @@ def test_gradient_does_not_depend_on_how_the_interval_is_cut(
     """Holding a control over five steps sums the five gradients: L2 averages them."""
     coarse, objective, u = problem('cohesive', 9, 3, 5)
     fine = dataclasses.replace(coarse, substeps=1)
-    reference = np.repeat(objective.control_reference, 5, axis=0)
+    *costs, effort = objective.costs
+    cut = dataclasses.replace(effort, reference=np.repeat(effort.reference, 5, axis=0))
     value, gradient = coarse.value_and_gradient(objective, u)
     fine_value, fine_gradient = fine.value_and_gradient(
-        dataclasses.replace(objective, control_reference=reference), np.repeat(u, 5, axis=0)
+        Objective([*costs, cut]), np.repeat(u, 5, axis=0)
     )
     assert value == pytest.approx(fine_value, rel=1e-13)
     averaged = fine_gradient.reshape(-1, 5, 3, 2).mean(axis=1)
@@ -176,10 +180,11 @@ def test_where_dogs_cannot_matter_only_the_control_counts(
     problem: Callable[..., Problem],
 ) -> None:
     coarse, objective, u = problem('cohesive', 5, 2, 1)
-    objective = dataclasses.replace(objective, leash=None)
+    objective = Objective([cost for cost in objective.costs if not isinstance(cost, Leash)])
+    effort = objective.costs[-1]
     far = HerdState(coarse.state.x, coarse.state.v, coarse.state.d + 1e3)
     _, gradient = dataclasses.replace(coarse, state=far).value_and_gradient(objective, u)
-    expected = objective.control_weight * (u - objective.control_reference)
+    expected = effort.weight * (u - effort.reference)
     np.testing.assert_allclose(gradient, expected, rtol=1e-12)
 
 

@@ -1,10 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from herding_ros.control.gauss_newton import gauss_newton
-from herding_ros.control.solution import Solution, Status
+from herding_ros.control.solution import Budget, Problem, Solution, Status
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array
 
@@ -15,6 +16,16 @@ SHAPE, SIZE, INTERVAL, LIMIT = (5, 3, 2), 30, 0.1, 0.05
 
 def inner(a: Array, b: Array) -> float:
     return INTERVAL * float(np.vdot(a, b))
+
+
+def damped(weight: float, anchor: Array | float = 0.0) -> Problem:
+    """Return weight / 2 |u - anchor|^2 over balls."""
+
+    def regulariser(u: Array) -> tuple[float, Array]:
+        change = u - anchor
+        return 0.5 * weight * inner(change, change), weight * change
+
+    return Problem(regulariser, lambda u: project(u, LIMIT), inner)
 
 
 @dataclass
@@ -64,10 +75,9 @@ class LeastSquares:
         return 0.5 * float(np.square(self.residual(u)).sum() + distance)
 
     def solved(self, linearisation: Matrix, start: Array, iterations: int = 20) -> Solution:
-        return gauss_newton(
-            self.residual, lambda _: linearisation, self.anchor, self.weight,
-            lambda u: project(u, LIMIT), start, inner, 1e-5, iterations,
-        )  # fmt: skip
+        damping = damped(self.weight, self.anchor)
+        budget = Budget(iterations, 1e-5)
+        return gauss_newton(self.residual, lambda _: linearisation, damping, start, budget)
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -94,13 +104,9 @@ def test_fixed_linearisation_still_leads_to_the_root_of_a_curved_residual() -> N
     found = gauss_newton(
         lambda u: (u + 3.0 * u**2 - root - 3.0 * root**2).ravel(),
         lambda _: Matrix(np.eye(SIZE)),
+        damped(0.0),
         np.zeros(SHAPE),
-        0.0,
-        lambda u: project(u, LIMIT),
-        np.zeros(SHAPE),
-        inner,
-        1e-8,
-        50,
+        Budget(50, 1e-8),
     )
     assert found.value < 1e-12
     np.testing.assert_allclose(found.u, root, rtol=0, atol=1e-6)
@@ -118,13 +124,9 @@ def test_linearising_anew_finds_the_minimum_where_the_residual_stays_large() -> 
     found = gauss_newton(
         lambda u: (u + 3.0 * u**2 - wanted).ravel(),
         linearise,
+        damped(0.0),
         np.zeros(SHAPE),
-        0.0,
-        lambda u: project(u, LIMIT),
-        np.zeros(SHAPE),
-        inner,
-        1e-5,
-        50,
+        Budget(50, 1e-5),
     )
     assert len(calls) > 2
     grid = LIMIT * np.linspace(-1.0, 1.0, 401)

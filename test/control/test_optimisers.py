@@ -1,7 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """What both optimisers promise; what is special to one stands in its own file."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 from scipy.optimize import minimize
 
 from herding_ros.control.coarse_model import CoarseModel
+from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.ncg import ncg
 from herding_ros.control.objective import Objective
-from herding_ros.control.solution import Solution, Status
+from herding_ros.control.solution import Budget, Problem, Solution, Status
 from herding_ros.control.spg import spg
 from herding_ros.model.crowd import CROWDS
 from herding_ros.model.motion import Holonomic
@@ -56,6 +58,10 @@ class Quadratic:
         self.b = self.a @ self.best.ravel() + (multipliers * self.best).ravel()
         self.start = rng.uniform(-0.05, 0.05, self.shape)
 
+    @property
+    def problem(self) -> Problem:
+        return Problem(self, self.project, self.inner)
+
     def inner(self, a: Array, b: Array) -> float:
         return self.interval * float(np.vdot(a, b))
 
@@ -77,7 +83,7 @@ def solved(
     max_iterations: int = 5000,
 ) -> Solution:
     start = problem.start if start is None else start
-    return optimise(problem, problem.project, start, problem.inner, tolerance, max_iterations)
+    return optimise(problem.problem, start, Budget(max_iterations, tolerance))
 
 
 @optimisers
@@ -131,10 +137,10 @@ def test_iteration_limit_is_a_status_and_the_result_is_admissible(optimise: Opti
 @pytest.mark.parametrize('iterations', [0, 1, 3])
 def test_out_of_time_is_an_early_iteration_limit(optimise: Optimiser, iterations: int) -> None:
     problem = Quadratic(0)
-    args = problem, problem.project, problem.start, problem.inner, 0.0
     asked = iter(range(1000))
-    hurried = optimise(*args, 1000, lambda: next(asked) >= iterations)
-    limited = optimise(*args, iterations)
+    out_of_time = Budget(1000, out_of_time=lambda: next(asked) >= iterations)
+    hurried = optimise(problem.problem, problem.start, out_of_time)
+    limited = optimise(problem.problem, problem.start, Budget(iterations))
     assert hurried.status is Status.OUT_OF_TIME
     assert limited.status is Status.ITERATION_LIMIT
     assert np.array_equal(hurried.u, limited.u)
@@ -169,7 +175,8 @@ def test_wrong_gradient_ends_without_descent(optimise: Optimiser) -> None:
         value, gradient = problem(u)
         return value, -gradient
 
-    found = optimise(uphill, problem.project, problem.best * 0.0, problem.inner, 1e-9, 50)
+    wrong = replace(problem.problem, value_and_gradient=uphill)
+    found = optimise(wrong, problem.best * 0.0, Budget(50, 1e-9))
     assert found.status is not Status.CONVERGED
     assert found.value <= problem(problem.best * 0.0)[0]
 
@@ -183,7 +190,7 @@ def herding(request: pytest.FixtureRequest) -> tuple[CoarseModel, Objective, flo
     centre = state.x.mean(axis=0)
     reference = centre + np.linspace(0.0, 1.0, 101)[:, None] * (goal - centre)
     shape = (10, 2, 2)
-    objective = Objective([Tracking(1.0, 1.0, reference)], 1e-2, np.zeros(shape))
+    objective = Objective([Tracking(1.0, 1.0, reference), ControlEffort(1e-2)])
 
     def scaled(z: Array) -> tuple[float, Array]:
         value, gradient = coarse.value_and_gradient(objective, limit * z.reshape(shape))
@@ -208,40 +215,28 @@ def herding(request: pytest.FixtureRequest) -> tuple[CoarseModel, Objective, flo
     return coarse, objective, found.fun
 
 
-@optimisers
-def test_herding_problem_is_solved_as_well_as_by_scipy(
-    optimise: Optimiser, herding: tuple[CoarseModel, Objective, float]
-) -> None:
-    coarse, objective, best = herding
-    stand = np.zeros_like(objective.control_reference)
-    found = optimise(
+def solved_herding(
+    optimise: Optimiser, coarse: CoarseModel, objective: Objective, tolerance: float
+) -> Solution:
+    problem = Problem(
         partial(coarse.value_and_gradient, objective),
-        partial(project, max_speed=0.05),
-        stand,
+        partial(Holonomic().project, max_speed=0.05),
         coarse.inner,
-        1e-7,
-        4000,
     )
-    gain = coarse.value_and_gradient(objective, stand)[0] - best
-    assert gain > 0.05 * best  # the dogs can do something
-    assert found.value - best <= 1e-6 * gain
-    assert np.linalg.norm(found.u, axis=-1).max() <= 0.05 * (1.0 + 1e-15)
+    return optimise(problem, np.zeros((10, 2, 2)), Budget(4000, tolerance))
 
 
-def test_optimisers_agree_on_the_herding_problem(
+def test_herding_problem_is_solved_by_both_as_well_as_by_scipy(
     herding: tuple[CoarseModel, Objective, float],
 ) -> None:
-    coarse, objective, _ = herding
-    plans = [
-        optimise(
-            partial(coarse.value_and_gradient, objective),
-            partial(project, max_speed=0.05),
-            np.zeros_like(objective.control_reference),
-            coarse.inner,
-            1e-8,
-            4000,
-        ).u
-        for optimise in (spg, ncg)
-    ]
-    assert np.linalg.norm(plans[0], axis=-1).max() > 0.0499
+    coarse, objective, best = herding
+    gain = coarse.value_and_gradient(objective, np.zeros((10, 2, 2)))[0] - best
+    assert gain > 0.05 * best  # the dogs can do something
+    plans = []
+    for optimise in (spg, ncg):
+        found = solved_herding(optimise, coarse, objective, 1e-8)
+        assert found.value - best <= 1e-6 * gain
+        speeds = np.linalg.norm(found.u, axis=-1)
+        assert 0.0499 < speeds.max() <= 0.05 * (1.0 + 1e-15)
+        plans.append(found.u)
     np.testing.assert_allclose(plans[0], plans[1], rtol=0, atol=1e-3 * 0.05)

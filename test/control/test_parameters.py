@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable
 import dataclasses
 import math
@@ -6,6 +7,7 @@ import re
 import pytest
 
 from herding_ros.control.parameters import (
+    check_lockstep,
     Control,
     Horizon,
     Mapping,
@@ -15,7 +17,9 @@ from herding_ros.control.parameters import (
     Sensor,
     Weights,
 )
+from herding_ros.control.space_mapping import MIN_DECREASE
 from herding_ros.model.parameters import Parameters
+from herding_ros.model.simulation import World
 
 GROUPS = [Weights, Reference, Horizon, Optimiser, Mapping, Sensor, Control]
 
@@ -30,7 +34,7 @@ GROUPS = [Weights, Reference, Horizon, Optimiser, Mapping, Sensor, Control]
         (lambda: Reference(speed=0.0), 'Reference.speed is 0.0'),
         (lambda: Optimiser(method='newton'), "Optimiser.method is 'newton'"),
         (lambda: Optimiser(max_iterations=0), 'Optimiser.max_iterations is 0'),
-        (lambda: Mapping(observable='spread'), "Mapping.observable is 'spread'"),
+        (lambda: Mapping(estimator='spread'), "Mapping.estimator is 'spread'"),
         (lambda: Mapping(paths=1), 'Mapping.paths is 1'),
         (lambda: Mapping(paths=10_001), 'Mapping.paths is 10001'),
         (lambda: Mapping(max_iterations=-1), 'Mapping.max_iterations is -1'),
@@ -74,5 +78,12 @@ def test_paper_is_the_papers_own_setting() -> None:
     assert PAPER.reference.kind == 'interpolated'
     assert (PAPER.horizon.length, PAPER.horizon.accepted) == (20.0, 10.0)
     assert PAPER.optimiser.tolerance == 5e-3
-    assert (PAPER.mapping.tolerance, PAPER.mapping.min_decrease) == (0.3, 5e-3)
+    assert (PAPER.mapping.method, PAPER.mapping.tolerance) == ('aggressive', 0.3)
     assert PAPER.mapping.paths == 100
+    assert MIN_DECREASE == 5e-3
+
+
+def test_commands_are_as_long_for_the_controller_as_for_the_world() -> None:
+    check_lockstep(Horizon(), World(dt=0.02, substeps=5))
+    with pytest.raises(ValueError, match=r'World\.dt .* got 0\.1 s and 0\.05 s'):
+        check_lockstep(Horizon(), World(dt=0.01, substeps=5))

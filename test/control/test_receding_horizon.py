@@ -1,3 +1,5 @@
+# SPDX-License-Identifier: Apache-2.0
+from collections.abc import Sequence
 import dataclasses
 from functools import partial
 
@@ -5,15 +7,18 @@ import numpy as np
 import pytest
 
 from herding_ros.control.coarse_model import CoarseModel
+from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
-from herding_ros.control.objective import Objective
+from herding_ros.control.objective import Objective, weighted_costs
 from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping, Optimiser, PAPER
 from herding_ros.control.plan import Plan
-from herding_ros.control.receding_horizon import RecedingHorizon, SolveReport, Window
+from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.reference import reference
-from herding_ros.control.solution import Status
-from herding_ros.control.space_mapping import aggressive
+from herding_ros.control.solution import Budget, Problem, Status
+from herding_ros.control.solve_report import SolveReport
+from herding_ros.control.space_mapping import aggressive_mapping, MappingProblem
 from herding_ros.control.spg import spg
+from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.expectation import mean_centre
@@ -94,14 +99,7 @@ def test_without_noise_the_coarse_plan_is_kept(method: str, optimiser: str) -> N
     np.testing.assert_array_equal(window.plan.u, coarse.plan.u)
 
 
-def test_without_noise_matching_every_individual_does_not_keep_the_coarse_plan() -> None:
-    """Why the centre is the default observable: T(u_c) = u_c should hold for equal models."""
-    mapping = Mapping(method='aggressive', observable='individuals')
-    report = solved(0.0, dataclasses.replace(PAPER, mapping=mapping), herd(30, 5)).report
-    assert report.mapping_residuals[0] > 0.1
-
-
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', range(2))
 def test_mapping_lowers_the_error_fivefold(seed: int) -> None:
     control = dataclasses.replace(PAPER, mapping=Mapping(max_iterations=4))
     report = solved(0.02, control, herd(30, 5, seed), seed).report
@@ -109,10 +107,11 @@ def test_mapping_lowers_the_error_fivefold(seed: int) -> None:
     assert report.mapping_error_after < report.mapping_error_before / 5.0
 
 
-def test_error_of_the_coarse_plan_is_that_of_the_paper() -> None:
-    """The mean over six flocks; the paper has one, whose geometry it does not give."""
+@pytest.mark.parametrize('seeds', [(2,), pytest.param(range(6), marks=pytest.mark.statistics)])
+def test_error_of_the_coarse_plan_is_that_of_the_paper(seeds: Sequence[int]) -> None:
+    """The mean over some flocks; the paper has one, whose geometry it does not give."""
     errors: dict[float, list[float]] = {sigma: [] for sigma in TABLE_1}
-    for seed in range(6):
+    for seed in seeds:
         state = herd(30, 5, seed)
         window = solved(0.0, without_mapping(PAPER), state)
         for sigma, found in errors.items():
@@ -126,9 +125,7 @@ def test_error_of_the_coarse_plan_is_that_of_the_paper() -> None:
 @pytest.mark.parametrize('method', ['output', 'aggressive'])
 def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
     sigma, state = 0.03, herd(9, 2)
-    mapping = dataclasses.replace(
-        PLAIN, method=method, max_iterations=2, accuracy=1e-6, tolerance=1e-6
-    )
+    mapping = dataclasses.replace(PLAIN, method=method, max_iterations=2, tolerance=1e-6)
     control = dataclasses.replace(SMALL, mapping=mapping)
     window = solved(sigma, control, state, seed=5)
     coarse = solved(sigma, without_mapping(control), state, seed=5)
@@ -149,11 +146,11 @@ def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
     assert np.linalg.norm(window.plan.u, axis=-1).max() <= control.max_speed * (1.0 + 1e-15)
 
 
-def test_output_mapping_stops_at_the_accuracy_asked_for() -> None:
-    """The accuracy is a root mean square over the window: the L2 norm over sqrt(T)."""
+def test_output_mapping_stops_at_the_tolerance() -> None:
+    """It is a root mean square over the window: the L2 norm over sqrt(T)."""
 
-    def report(accuracy: float) -> SolveReport:
-        mapping = Mapping(paths=20, max_iterations=1, accuracy=accuracy)
+    def report(tolerance: float) -> SolveReport:
+        mapping = Mapping(paths=20, max_iterations=1, tolerance=tolerance)
         return solved(0.03, dataclasses.replace(SMALL, mapping=mapping), state).report
 
     state = herd(9, 2)
@@ -185,9 +182,7 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
     Ours compares centres at instants half a second apart, which is good to some per cent.
     """
     crowd, gamma, state = Crowd(noise=0.03), 1e-2, herd(9, 2, seed)
-    mapping = dataclasses.replace(
-        PLAIN, method='aggressive', max_iterations=2, tolerance=0.0, min_decrease=-1e9
-    )
+    mapping = dataclasses.replace(PLAIN, method='aggressive', max_iterations=2, tolerance=0.0)
     control = dataclasses.replace(PAPER, horizon=SMALL.horizon, mapping=mapping)
     found = RecedingHorizon(crowd, control, GOAL, seed).solve(state, 0.0)
     u_coarse = solved(0.03, without_mapping(control), state).plan.u
@@ -199,12 +194,14 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
         return expected_centre(0.03, state, Plan(0.0, coarse.interval, u), found.dt, noise)
 
     def extract(target: Array, start: Array) -> Array:
-        objective = Objective([Tracking(1.0, 0.0, target)], gamma, u_coarse)
+        objective = Objective([Tracking(1.0, 0.0, target), ControlEffort(gamma, u_coarse)])
         cost = partial(coarse.value_and_gradient, objective)
-        return spg(cost, admissible, start, coarse.inner, 1e-7, 1000).u
+        problem = Problem(cost, admissible, coarse.inner)
+        return spg(problem, start, Budget(1000, 1e-7)).u
 
-    expected = aggressive(
-        fine, extract, lambda output: 0.0, admissible, u_coarse, coarse.inner, 0.0, -1e9, 2
+    mapping_problem = MappingProblem(fine, lambda output: 0.0, u_coarse)
+    expected = aggressive_mapping(
+        mapping_problem, extract, admissible, coarse.inner, Budget(2), -np.inf
     )
     assert found.report.mapping_iterations == 2
     np.testing.assert_allclose(found.report.mapping_residuals, expected.residuals, rtol=0.05)
@@ -222,12 +219,12 @@ def test_small_flocks_are_predicted_sheep_by_sheep(n: int) -> None:
     assert found.report.mapping_error_after == expected.report.mapping_error_after
 
 
-@pytest.mark.parametrize('method', ['output', 'aggressive'])
+@pytest.mark.parametrize('method', ['output', pytest.param('aggressive', marks=pytest.mark.slow)])
 def test_mapping_from_the_mean_field_limit_lowers_the_error_as_from_all_sheep(method: str) -> None:
     """It corrects for the noise, and for sheep that are not so many."""
     state, sigma, n = herd(90, 3), 0.03, 90
     mapping = Mapping(
-        method=method, paths=20, max_iterations=4, accuracy=1e-4, tolerance=1e-3,
+        method=method, paths=20, max_iterations=4, tolerance=1e-4,
         estimator='plain', standard_error=0.0,
     )  # fmt: skip
     control = dataclasses.replace(SMALL, mapping=mapping)
@@ -246,13 +243,6 @@ def test_mapping_from_the_mean_field_limit_lowers_the_error_as_from_all_sheep(me
         assert found.report.mapping_error_after == pytest.approx(after, rel=1e-9)
         left[markers] = after / before
     assert left[24] < 1.15 * left[n] < 0.7
-
-
-def test_seconds_are_accounted_for() -> None:
-    seconds = solved(0.02, SMALL, herd(4, 2)).report.seconds
-    assert set(seconds) == {'coarse', 'fine', 'extraction', 'total'}
-    parts = seconds['coarse'] + seconds['fine'] + seconds['extraction']
-    assert 0.5 * seconds['total'] < parts <= seconds['total']
 
 
 @pytest.mark.parametrize(('n', 'm'), [(1, 1), (8, 1), (1, 3)])
@@ -347,21 +337,31 @@ def test_bad_goals_are_refused(goal: object) -> None:
     np.testing.assert_array_equal(planner.goal, GOAL)
 
 
-@pytest.mark.parametrize(('seed', 'control'), [(0, Control()), (1, Control()), (0, PAPER)])
+@pytest.mark.parametrize(
+    ('sheep', 'control'),
+    [
+        (9, Control(horizon=Horizon(length=10.0, accepted=5.0))),
+        pytest.param(30, Control(), marks=pytest.mark.slow),
+        pytest.param(30, PAPER, marks=pytest.mark.slow),
+    ],
+)
 def test_plan_on_the_default_time_grid_costs_no_more_than_one_on_the_sims(
-    seed: int, control: Control
+    sheep: int, control: Control
 ) -> None:
     """Both solved to the end and played back in steps of 0.01 s: 2e-4 is all they differ."""
     control = dataclasses.replace(
         without_mapping(control), optimiser=Optimiser(tolerance=2e-4, max_iterations=2000)
     )
-    fine = dataclasses.replace(control, horizon=Horizon(substeps=10))
+    horizon = dataclasses.replace(control.horizon, substeps=10)
+    fine = dataclasses.replace(control, horizon=horizon)
     assert (control.horizon.dt, fine.horizon.dt) == (0.05, 0.01)
-    state = herd(30, 5, seed)
+    state = herd(sheep, 5)
     model = CoarseModel(Crowd(), state, fine.horizon.dt, fine.horizon.substeps)
-    times = np.arange(2001) * fine.horizon.dt
+    times = np.arange(horizon.intervals * 10 + 1) * horizon.dt
     route = reference(control.reference, state, GOAL, times)
-    cost = Objective.weighted(control.weights, route, np.zeros((200, 5, 2)))
+    cost = Objective(
+        [*weighted_costs(control.weights, route), ControlEffort(control.weights.control)]
+    )
     played, best = (
         model.value_and_gradient(cost, solved(0.0, each, state).plan.u)[0]
         for each in (control, fine)

@@ -1,11 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable
 import dataclasses
 
 import numpy as np
 import pytest
 
-from herding_ros.control.solution import Status
-from herding_ros.control.space_mapping import aggressive, Broyden, MappingResult, output
+from herding_ros.control.solution import Budget, Status
+from herding_ros.control.space_mapping import (
+    aggressive_mapping,
+    Broyden,
+    MappingProblem,
+    MappingResult,
+    output_mapping,
+)
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array
 
@@ -123,16 +130,13 @@ class Affine:
         max_iterations: int = 30,
         quasi_newton: bool = True,
     ) -> MappingResult:
-        return aggressive(
-            self.fine,
+        return aggressive_mapping(
+            MappingProblem(self.fine, self.misfit, self.u_coarse),
             lambda found, start: found,
-            self.misfit,
             projection,
-            self.u_coarse,
             inner,
-            tolerance,
+            Budget(max_iterations, tolerance),
             min_decrease,
-            max_iterations,
             quasi_newton,
         )
 
@@ -196,16 +200,18 @@ def test_secant_is_that_of_the_step_taken() -> None:
     def along(value: float) -> Array:
         return value * np.eye(SIZE)[0].reshape(SHAPE)
 
-    found = aggressive(
+    problem = MappingProblem(
         lambda u: slope * u + along(offset),
-        lambda result, start: result,
         lambda result: norm(result - along(wanted)),
-        lambda u: project(u, LIMIT),
         along(wanted),
+    )
+    found = aggressive_mapping(
+        problem,
+        lambda result, start: result,
+        lambda u: project(u, LIMIT),
         inner,
-        1e-12,
-        -1e9,
-        5,
+        Budget(5, 1e-12),
+        -np.inf,
     )
     assert found.iterations == 2
     np.testing.assert_allclose(found.u, along((wanted - offset) / slope), rtol=0, atol=1e-15)
@@ -227,16 +233,13 @@ def test_aggressive_mapping_is_never_worse_than_the_coarse_optimum() -> None:
         problem = Affine(6, 5.0, seed)
         found = problem.mapped(max_iterations=2)
         assert problem.misfit(found.output) == min(found.misfits) <= found.misfits[0]
-    only_worse = aggressive(
-        lambda u: u,
-        lambda result, start: result**2 + 1.0,  # misleads: there is no way to zero
-        lambda result: norm(result),
+    only_worse = aggressive_mapping(
+        MappingProblem(lambda u: u, norm, np.zeros(SHAPE)),
+        lambda result, start: result**2 + 1.0,  # misleads: it is never zero
         free,
-        np.zeros(SHAPE),
         inner,
-        0.0,
-        -1e9,
-        4,
+        Budget(4),
+        -np.inf,
     )
     np.testing.assert_array_equal(only_worse.u, np.zeros(SHAPE))
     assert only_worse.iterations == 4
@@ -285,10 +288,13 @@ class Corrected:
     def mapped(
         self, accuracy: float = 1e-10, max_iterations: int = 40, damping: float = 1e-2
     ) -> MappingResult:
-        return output(
-            self.fine, self.coarse, self.match, self.misfit, self.u_coarse, damping, accuracy,
-            max_iterations,
-        )  # fmt: skip
+        return output_mapping(
+            MappingProblem(self.fine, self.misfit, self.u_coarse),
+            self.coarse,
+            self.match,
+            damping,
+            Budget(max_iterations, accuracy),
+        )
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -335,15 +341,12 @@ def test_equal_models_need_no_output_mapping() -> None:
 
 def test_output_mapping_is_never_worse_than_the_coarse_optimum() -> None:
     problem = Corrected(0.1)
-    wrong = output(
-        problem.fine,
+    wrong = output_mapping(
+        MappingProblem(problem.fine, problem.misfit, problem.u_coarse),
         problem.coarse,
         lambda target, u, damping: u + 1.0,
-        problem.misfit,
-        problem.u_coarse,
         1e-2,
-        1e-10,
-        4,
+        Budget(4, 1e-10),
     )
     assert wrong.iterations == 4
     assert wrong.misfits[0] < min(wrong.misfits[1:])

@@ -1,14 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
 import itertools
 
 import numpy as np
 
-from herding_ros.control.solution import Status
+from herding_ros.control.solution import Budget, Problem, Status
 from herding_ros.control.spg import spg
 from herding_ros.model.state import Array
 
 
 def dot(a: Array, b: Array) -> float:
     return float(np.vdot(a, b))
+
+
+def free(u: Array) -> Array:
+    return u
 
 
 def test_value_may_rise_on_the_way_but_the_best_point_is_returned() -> None:
@@ -24,7 +29,7 @@ def test_value_may_rise_on_the_way_but_the_best_point_is_returned() -> None:
     rose = False
     for limit in range(1, 25):
         seen.clear()
-        found = spg(valley, lambda u: u, np.array([300.0, 1.0]), dot, 0.0, limit)
+        found = spg(Problem(valley, free, dot), np.array([300.0, 1.0]), Budget(limit))
         values = [value for value, _ in seen]
         rose = rose or any(b > a for a, b in itertools.pairwise(values))
         assert found.value == min(values)
@@ -39,7 +44,7 @@ def test_quadratic_of_one_curvature_takes_a_single_spectral_step() -> None:
     def bowl(u: Array) -> tuple[float, Array]:
         return 0.05 * float((u - aim) @ (u - aim)), 0.1 * (u - aim)
 
-    found = spg(bowl, lambda u: u, np.zeros(2), dot, 1e-12, 10)
+    found = spg(Problem(bowl, free, dot), np.zeros(2), Budget(10, 1e-12))
     assert found.status is Status.CONVERGED
     assert (found.iterations, found.calls) == (2, 3)
     np.testing.assert_allclose(found.u, aim, rtol=1e-14)
@@ -48,10 +53,8 @@ def test_quadratic_of_one_curvature_takes_a_single_spectral_step() -> None:
 def test_converged_means_the_projected_gradient_is_small() -> None:
     """The gradient itself is not: the minimum of a linear function lies on the boundary."""
     slope = np.array([1.0, 2.0])
-    found = spg(
-        lambda u: (float(slope @ u), slope), lambda u: np.clip(u, -1.0, 1.0), np.zeros(2), dot,
-        1e-12, 10,
-    )  # fmt: skip
+    problem = Problem(lambda u: (float(slope @ u), slope), lambda u: np.clip(u, -1.0, 1.0), dot)
+    found = spg(problem, np.zeros(2), Budget(10, 1e-12))
     assert found.status is Status.CONVERGED
     assert found.gradient_norm == 0.0
     np.testing.assert_array_equal(found.u, [-1.0, -1.0])

@@ -35,7 +35,7 @@ from herding_ros.nodes import messages
 from herding_ros.nodes.controller import ControllerSettings
 from herding_ros.nodes.herding_node import HerdingNode
 from herding_ros.nodes.parameters import declare
-from herding_ros.nodes.settings import declare_crowd
+from herding_ros.nodes.settings import ControlPreset, declare_crowd
 from herding_ros.nodes.sim import SimSettings
 
 Field = dataclasses.Field[Any]
@@ -48,7 +48,12 @@ def fields(parameters: Parameters, prefix: str = '') -> dict[str, Field]:
 CROWD = fields(Crowd(), 'crowd.')
 FIELDS: dict[str, dict[str, Field]] = {
     'sim': {**CROWD, **fields(World()), **fields(SimSettings())},
-    'controller': {**CROWD, **fields(Control()), **fields(ControllerSettings())},
+    'controller': {
+        **CROWD,
+        **fields(ControlPreset()),
+        **fields(Control()),
+        **fields(ControllerSettings()),
+    },
     'recorder': {},
 }
 NOISE = {name for name in CROWD if name.startswith(('crowd.noise', 'crowd.common_noise'))}
@@ -220,7 +225,7 @@ def declare_all(node: HerdingNode) -> None:
     declare_crowd(node)
     kinds: list[Parameters] = [World(), SimSettings()]
     if node.get_name() == 'controller':
-        kinds = [ControllerSettings(), Control()]
+        kinds = [ControllerSettings(), ControlPreset(), Control()]
     for kind in kinds:
         declare(node, kind)
 

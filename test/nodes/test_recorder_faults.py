@@ -226,7 +226,8 @@ def check_stopped(
     peer: Any, process: Any, counter: Counter, heard: list[Any], diagnostics: list[Any], bag: Path
 ) -> dict[str, str]:
     """Wait until the recorder says that it has stopped; it and all others are to go on."""
-    peer.spin_until(lambda: status(diagnostics)[0].level == DiagnosticStatus.ERROR)
+    peer.spin_until(lambda: status(diagnostics)[0].message.startswith('stopped: '))
+    assert status(diagnostics)[0].level == DiagnosticStatus.ERROR
     told, values = status(diagnostics)
     assert told.name == 'recorder: bag'
     assert told.message.startswith('stopped: ')

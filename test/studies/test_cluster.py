@@ -74,7 +74,7 @@ def test_a_worker_with_other_code_is_refused() -> None:
     assert 'another version' in outcome.error
 
 
-def test_without_dask_one_is_told_what_to_install(
+def test_without_dask_the_error_names_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def missing(name: str) -> None:

@@ -99,7 +99,7 @@ def made_up() -> Results:
     return Results(entries)
 
 
-def test_page_tells_what_the_results_say(tmp_path: Path) -> None:
+def test_page_shows_the_results(tmp_path: Path) -> None:
     section = common_noise.draw(made_up(), tmp_path)
     lines = section.values['table'].splitlines()
     assert len(lines) == 2 + 4 * len(common_noise.SHARES)

@@ -5,6 +5,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+import pytest
+
 from herding_ros.studies import evacuation
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.study import Options, Results
@@ -29,7 +32,10 @@ def result_of(task: Task) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def test_page_tells_guides_from_dogs_and_from_nobody(tmp_path: Path) -> None:
+def test_page_distinguishes_guides_dogs_and_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Figure, 'savefig', lambda *_, **__: None)
     tasks = evacuation.tasks(Options(seeds=3))
     found = [(task, json.loads(json.dumps(result_of(task)))) for task in tasks]
     section = evacuation.draw(Results(found), tmp_path)

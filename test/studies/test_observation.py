@@ -107,7 +107,7 @@ def results_of(
     return Results(entries)
 
 
-def test_page_tells_what_the_results_say(tmp_path: Path) -> None:
+def test_page_shows_the_results(tmp_path: Path) -> None:
     exact = [50.0 + k for k in range(20)]
     found = results_of(
         tmp_path,

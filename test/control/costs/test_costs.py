@@ -1,144 +1,140 @@
-"""What every cost promises; what is special to one stands in its own file."""
+# SPDX-License-Identifier: Apache-2.0
+"""What every cost promises, and the sum that each of them is."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+import math
 
 import numpy as np
 import pytest
 
 from herding_ros.control.costs.check import taylor_orders
 from herding_ros.control.costs.containment import Containment
-from herding_ros.control.costs.cost import Cost
+from herding_ros.control.costs.control_effort import ControlEffort
+from herding_ros.control.costs.cost import Cost, Derivatives
+from herding_ros.control.costs.leash import Leash
 from herding_ros.control.costs.terminal import Terminal
 from herding_ros.control.costs.tracking import Tracking
+from herding_ros.control.objective import Objective, weighted_costs
+from herding_ros.control.parameters import Weights
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.state import Array, HerdState, Trajectory
 
 HerdMaker = Callable[..., HerdState]
+Played = tuple[Trajectory, Array]
 
-STEPS, DT = 12, 0.1
+DT, SUBSTEPS, INTERVALS, DOGS = 0.1, 3, 4, 2
+STEPS = INTERVALS * SUBSTEPS
 ROUTE = np.random.default_rng(9).normal(0.0, 0.3, (STEPS + 1, 2))
+CONTROL = np.random.default_rng(10).normal(0.0, 0.05, (INTERVALS, DOGS, 2))
 COSTS: dict[str, Cost] = {
-    'centre': Tracking(3.0, 0.0, ROUTE),
-    'spread': Tracking(0.1, 2.0, ROUTE),
     'tracking': Tracking(3.0, 1.0, ROUTE),
     'terminal': Terminal(5.0, Tracking(3.0, 1.0, ROUTE)),
     'disc': Containment(2.0, 0.3, np.array([0.5, 0.5])),
     'moving disc': Containment(2.0, 0.3, ROUTE),
     'point': Containment(2.0, 0.0, ROUTE),
+    'leash': Leash(0.7, ROUTE),
+    'control effort': ControlEffort(0.3, CONTROL),
 }
+COSTS['all'] = Objective(list(COSTS.values()))
 costs = pytest.mark.parametrize('cost', COSTS.values(), ids=COSTS)
-sheep = pytest.mark.parametrize('n', [1, 8, 11])
 
 
-def played(random_herd: HerdMaker, n: int) -> Trajectory:
-    u = np.random.default_rng(n).normal(0.0, 0.05, (STEPS, 2, 2))
-    return rollout(Crowd(), random_herd(n, 2), u, DT)
-
-
-def direction(trajectory: Trajectory, seed: int) -> Array:
-    w = np.zeros_like(trajectory.xs)
-    w[:, :, : trajectory.n] = np.random.default_rng(seed).normal(size=(STEPS + 1, 2, trajectory.n))
-    return w
+@pytest.fixture(params=[1, 8, 11])
+def played(random_herd: HerdMaker, request: pytest.FixtureRequest) -> Played:
+    n = request.param
+    u = np.random.default_rng(n).normal(0.0, 0.05, (INTERVALS, DOGS, 2))
+    return rollout(Crowd(), random_herd(n, DOGS), u, DT, SUBSTEPS), u
 
 
 @costs
-@sheep
-def test_taylor_remainders_of_value_and_derivative_are_of_second_order(
-    random_herd: HerdMaker, cost: Cost, n: int
-) -> None:
-    trajectory = played(random_herd, n)
-    w = direction(trajectory, 3)
-    slope = (cost.value_and_derivative(trajectory)[1] * w).sum()
-    curvature = (cost.second_derivative(trajectory, w) * w).sum()
-    assert abs(slope) > 1e-3  # there is something to get wrong
-    assert abs(curvature) > 1e-3
-    assert min(taylor_orders(cost, trajectory, np.random.default_rng(3))) > 1.9
+def test_derivatives_are_those_of_the_value(played: Played, cost: Cost) -> None:
+    trajectory, u = played
+    assert min(taylor_orders(cost, trajectory, u, np.random.default_rng(3))) > 1.9
+    _, by = cost.value_and_derivatives(trajectory, u)
+    for part, like in ((by.x, trajectory.xs), (by.d, trajectory.ds), (by.u, u)):
+        if part is not None:
+            assert part.shape == like.shape
+            assert np.abs(part).max() > 1e-4  # there is something to get wrong
 
 
 @costs
-@sheep
-def test_derivatives_agree_with_central_differences_at_every_step(
-    random_herd: HerdMaker, cost: Cost, n: int
-) -> None:
-    trajectory, h = played(random_herd, n), 1e-5
-    _, derivative = cost.value_and_derivative(trajectory)
-    for k in (0, 1, STEPS - 1, STEPS):
-        for index in np.ndindex(2, n):
-            e = np.zeros_like(trajectory.xs)
-            e[(k, *index)] = h
-            there, back = (
-                cost.value_and_derivative(replace(trajectory, xs=trajectory.xs + each))
-                for each in (e, -e)
-            )
-            slope = (there[0] - back[0]) / (2.0 * h)
-            assert derivative[(k, *index)] == pytest.approx(slope, rel=1e-6, abs=1e-9)
-            change = cost.second_derivative(trajectory, e)
-            np.testing.assert_allclose(change, 0.5 * (there[1] - back[1]), rtol=0, atol=1e-10)
-
-
-@costs
-def test_second_derivative_is_symmetric(random_herd: HerdMaker, cost: Cost) -> None:
-    trajectory = played(random_herd, 11)
-    v, w = (direction(trajectory, seed) for seed in (1, 2))
-    there = (v * cost.second_derivative(trajectory, w)).sum()
-    back = (w * cost.second_derivative(trajectory, v)).sum()
-    assert abs(there) > 1e-3
-    assert there == pytest.approx(back, rel=1e-12)
-
-
-@costs
-@sheep
-def test_unused_lanes_and_the_start_cost_nothing(
-    random_herd: HerdMaker, cost: Cost, n: int
-) -> None:
-    trajectory = played(random_herd, n)
-    value, derivative = cost.value_and_derivative(trajectory)
-    w = direction(trajectory, 1)
-    change = cost.second_derivative(trajectory, w)
-    assert value > 0.0 or n == 1
-    for each in (derivative, change):
-        assert each.shape == trajectory.xs.shape
-        assert not each[:, :, n:].any()
-        assert not each[0].any()
-    trajectory.xs[:, :, n:] = 1e3
-    trajectory.xs[0] += 1.0
-    again, derivative_again = cost.value_and_derivative(trajectory)
+def test_unused_lanes_and_the_start_cost_nothing(played: Played, cost: Cost) -> None:
+    trajectory, u = played
+    value, by = cost.value_and_derivatives(trajectory, u)
+    xs, ds = trajectory.xs.copy(), trajectory.ds.copy()
+    xs[:, :, trajectory.n :] = 1e3
+    xs[0] += 1.0
+    ds[0] += 1.0
+    again, by_again = cost.value_and_derivatives(replace(trajectory, xs=xs, ds=ds), u)
     assert again == value
-    np.testing.assert_array_equal(derivative_again, derivative)
-    np.testing.assert_array_equal(cost.second_derivative(trajectory, w), change)
+    for part, part_again in ((by.x, by_again.x), (by.d, by_again.d)):
+        if part is not None:
+            np.testing.assert_array_equal(part, part_again)
+            assert not part[0].any()
+    if by.x is not None:
+        assert not by.x[:, :, trajectory.n :].any()
 
 
-@costs
-def test_derivative_is_an_array_of_its_own(random_herd: HerdMaker, cost: Cost) -> None:
-    """The objective adds other derivatives to it."""
-    trajectory = played(random_herd, 8)
-    _, derivative = cost.value_and_derivative(trajectory)
-    expected = derivative.copy()
-    derivative += 1.0
-    np.testing.assert_array_equal(cost.value_and_derivative(trajectory)[1], expected)
+def test_costs_are_the_sums_they_say(played: Played) -> None:
+    """All that weights can ask for, written out as in the paper and the README."""
+    trajectory, u = played
+    n = trajectory.n
+    w = Weights(3.0, 2.0, 0.3, 0.7, terminal=5.0, containment=2.0, radius=0.4)
+    expected = 0.0
+    for k in range(1, STEPS + 1):
+        centre = sum(trajectory.x[k]) / n
+        time = DT + (w.terminal if k == STEPS else 0.0)
+        expected += time * w.centre / 2 * sum((centre - ROUTE[k]) ** 2)
+        for each in trajectory.x[k]:
+            expected += time * w.spread / (2 * n) * sum((each - centre) ** 2)
+            beyond = max(math.dist(each, ROUTE[k]) - w.radius, 0.0)
+            expected += DT * w.containment / (3 * n) * beyond**3
+        for each in trajectory.d[k]:
+            expected += DT * w.dogs / 2 * sum((each - ROUTE[k]) ** 2)
+    expected += DT * SUBSTEPS * w.control / 2 * float(np.square(u - CONTROL).sum())
+    objective = Objective([*weighted_costs(w, ROUTE), ControlEffort(w.control, CONTROL)])
+    assert objective.value_and_derivatives(trajectory, u)[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_equal_weights_are_the_cost_of_the_paper(played: Played) -> None:
+    trajectory, u = played
+    found, _ = Tracking(1.0, 1.0, ROUTE).value_and_derivatives(trajectory, u)
+    individuals = np.square(trajectory.x - ROUTE[:, None])[1:].sum() / trajectory.n
+    assert found == pytest.approx(0.5 * DT * individuals, rel=1e-13)
+
+
+def test_weights_of_zero_leave_nothing_to_compute() -> None:
+    assert [type(cost) for cost in weighted_costs(Weights(dogs=0.0), ROUTE)] == [Tracking]
+
+
+def test_a_cost_has_derivatives_where_it_has_a_kink() -> None:
+    """A sheep at the centre of the disc, and one on the rim."""
+    xs = np.zeros((2, 2, 8))
+    for radius in (0.0, 0.5):
+        xs[1, 0, 0] = radius
+        trajectory = Trajectory(1.0, 1, xs, 0.0 * xs, np.zeros((2, 2, 1)))
+        cost = Containment(3.0, radius, np.zeros(2))
+        value, by = cost.value_and_derivatives(trajectory, np.zeros((1, 1, 2)))
+        assert value == 0.0
+        assert by.x is not None
+        assert not by.x.any()
 
 
 @dataclass(frozen=True)
 class Skewed:
-    """A cost with a mistake of one part in a hundred in one of its derivatives."""
+    """All costs, with a mistake of one part in a hundred in one of the derivatives."""
 
-    first: float
-    second: float
+    wrong: str
 
-    def value_and_derivative(self, trajectory: Trajectory) -> tuple[float, Array]:
-        value, derivative = COSTS['moving disc'].value_and_derivative(trajectory)
-        return value, self.first * derivative
-
-    def second_derivative(self, trajectory: Trajectory, dx: Array) -> Array:
-        return self.second * COSTS['moving disc'].second_derivative(trajectory, dx)
+    def value_and_derivatives(self, trajectory: Trajectory, u: Array) -> tuple[float, Derivatives]:
+        value, by = COSTS['all'].value_and_derivatives(trajectory, u)
+        return value, replace(by, **{self.wrong: 1.01 * getattr(by, self.wrong)})
 
 
-@pytest.mark.parametrize(('first', 'second'), [(1.01, 1.01), (1.0, 0.99)])
-def test_a_wrong_derivative_is_found(random_herd: HerdMaker, first: float, second: float) -> None:
-    trajectory = played(random_herd, 11)
-    orders = taylor_orders(Skewed(first, second), trajectory, np.random.default_rng(0))
-    right = (first == 1.0, first == second)
-    assert [order > 1.9 for order in orders] == list(right)
-    assert min(orders) < 1.5
+@pytest.mark.parametrize('wrong', ['x', 'd', 'u'])
+def test_a_wrong_derivative_is_found(random_herd: HerdMaker, wrong: str) -> None:
+    trajectory = rollout(Crowd(), random_herd(11, DOGS), CONTROL, DT, SUBSTEPS)
+    orders = taylor_orders(Skewed(wrong), trajectory, 10.0 * CONTROL, np.random.default_rng(0))
+    assert [order < 1.5 for order in orders] == [each == wrong for each in 'xdu']
