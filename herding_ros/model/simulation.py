@@ -109,12 +109,10 @@ class Simulation:
     def observe(self) -> Observation:
         """Return a noisy observation: true values plus independent Gaussian noise."""
         noise, world = self._sensor.standard_normal, self.world
-        x, v, d, u = self.state.x, self.state.v, self.state.d, self.dog_velocities
-        return Observation(
-            HerdState(
-                single(x + world.position_noise * noise(x.shape)),
-                single(v + world.velocity_noise * noise(v.shape)),
-                d + world.position_noise * noise(d.shape),
-            ),
-            u + world.velocity_noise * noise(u.shape),
-        )
+        x, v = self.state.x, self.state.v
+        d, heading, u = world.motion.odometry(self.state.d, self.dog_velocities)
+        x = single(x + world.position_noise * noise(x.shape))
+        v = single(v + world.velocity_noise * noise(v.shape))
+        d = d + world.position_noise * noise(d.shape)
+        u = u + world.velocity_noise * noise(u.shape)
+        return Observation(HerdState(x, v, world.motion.state(d, heading, u)), u)

@@ -60,8 +60,8 @@ class LeastSquares:
         self.best = LIMIT * speeds * u / np.linalg.norm(u, axis=-1, keepdims=True)
         self.anchor = rng.uniform(-LIMIT, LIMIT, SHAPE)
         multiplier = np.where(active, rng.uniform(0.1, 2.0, (5, 3, 1)), 0.0)
-        pull = self.weight * INTERVAL * (self.best - self.anchor) + multiplier * self.best
-        self.y = self.s @ self.best.ravel() + np.linalg.solve(self.s.T, pull.ravel())
+        force = self.weight * INTERVAL * (self.best - self.anchor) + multiplier * self.best
+        self.y = self.s @ self.best.ravel() + np.linalg.solve(self.s.T, force.ravel())
         self.start = rng.uniform(-LIMIT, LIMIT, SHAPE)
         self.residuals = 0
 

@@ -112,7 +112,7 @@ class Affine:
         self.a = np.eye(SIZE) + difference
         self.b = self.size * rng.normal(size=SIZE)
         self.u_coarse = self.size * rng.normal(size=SHAPE)
-        self.answer = np.linalg.solve(self.a, self.u_coarse.ravel() - self.b).reshape(SHAPE)
+        self.solution = np.linalg.solve(self.a, self.u_coarse.ravel() - self.b).reshape(SHAPE)
         self.seen: list[Array] = []
 
     def fine(self, u: Array) -> Array:
@@ -154,7 +154,7 @@ def test_affine_model_is_mapped_in_twice_as_many_steps_as_it_differs(
     found = problem.mapped()
     assert found.status is Status.CONVERGED
     assert found.iterations <= 2 * rank + 2
-    np.testing.assert_allclose(found.u, problem.answer, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(found.u, problem.solution, rtol=0, atol=1e-7)
     np.testing.assert_allclose(found.output, problem.u_coarse, rtol=0, atol=1e-7)
 
 
@@ -267,7 +267,7 @@ class Corrected:
         self.c = strength * rng.normal(size=SIZE)
         self.u_coarse = rng.normal(size=SIZE)
         self.wanted = self.s @ self.u_coarse
-        self.answer = np.linalg.solve(self.s + self.e, self.wanted - self.c)
+        self.solution = np.linalg.solve(self.s + self.e, self.wanted - self.c)
         self.asked: list[tuple[Array, Array, float]] = []
 
     def coarse(self, u: Array) -> Array:
@@ -298,12 +298,12 @@ class Corrected:
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_output_mapping_finds_the_known_answer(seed: int) -> None:
+def test_output_mapping_finds_the_known_solution(seed: int) -> None:
     problem = Corrected(0.1, seed)
     found = problem.mapped()
     assert found.status is Status.CONVERGED
     assert found.misfits[-1] <= 1e-10 < found.misfits[-2]
-    np.testing.assert_allclose(found.u, problem.answer, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.u, problem.solution, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.output, problem.wanted, rtol=0, atol=1e-9)
 
 

@@ -293,7 +293,7 @@ def test_moments_in_a_slope_and_a_gust_are_those_of_their_recursion() -> None:
     """For sigma linear in x the second moments of the scheme are closed."""
     g, gust, period, dt, steps, t0 = 1.0, 0.8, 1.5, 0.05, 40, 0.4
     field = NoiseField(slope=(g, 0.0), gust=gust, period=period)
-    crowd, sheep, runs = dataclasses.replace(FREE, noise_field=field), 500, 24
+    crowd, sheep, runs = dataclasses.replace(FREE, noise_field=field), 50, 240
     start = HerdState(np.zeros((sheep, 2)), np.zeros((sheep, 2)), np.ones((1, 2)))
     rng, u = np.random.default_rng(6), np.zeros((1, 1, 2))
     ends = [

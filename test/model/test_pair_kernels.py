@@ -61,8 +61,7 @@ def test_sort_says_when_someone_is_outside(outside: tuple[float, float]) -> None
     assert not pair_kernels.sort(np.full((2, 2), np.nan), 2, CELLS, np.empty(2, np.int64), start)
 
 
-@pytest.mark.parametrize('n', [1, 2, 9, 150])
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize(('n', 'seed'), [(1, 0), (2, 0), (9, 0), (9, 1), (100, 0)])
 def test_near_pairs_are_those_within_the_reach(n: int, seed: int) -> None:
     x, ordered, order, start = flock(n, seed)
     mu = np.random.default_rng(seed + 100).normal(size=(2, n))

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Nodes as processes in domains of their own, and a node of the test's own among them."""
+
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, ExitStack, suppress
 import itertools
 import os
 from pathlib import Path
@@ -19,8 +21,9 @@ from rclpy.executors import SingleThreadedExecutor
 
 from herding_ros.nodes.running import use_our_profiles
 
-# Nodes of the tests send at once again what got lost, and are stopped by nobody who is killed.
+# The test's own node, too, sends at once again what got lost, and shares no lock with others.
 use_our_profiles()
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 
 LIMIT = 60.0
 """No condition is waited for any longer [s]."""
@@ -39,7 +42,6 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     """Return a ROS domain that no other test uses, on this machine alone."""
     number = next(_domains)
     monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     return number
 
 
@@ -58,10 +60,11 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
 class Process:
     """A program of ours as a process of its own, its output in a file."""
 
-    def __init__(self, command: list[str], log: Path) -> None:
+    def __init__(self, command: list[str], log: Path, domain: int) -> None:
         self._log = log
         self.process = subprocess.Popen(
             [sys.executable, *command],
+            env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
             stdin=subprocess.DEVNULL,
             stdout=log.open('wb'),
             stderr=subprocess.STDOUT,
@@ -111,9 +114,9 @@ def wait_until() -> Callable[[Callable[[], object]], None]:
     return _wait_until
 
 
-@pytest.fixture
-def start(tmp_path: Path, domain: int) -> Iterator[Callable[..., Process]]:
-    """Return a function that starts a program, a node with its parameters; ended afterwards."""
+@contextmanager
+def _starting(folder: Path, domain: int) -> Iterator[Callable[..., Process]]:
+    """Give a function that starts programs; they are ended with the context."""
     started: list[Process] = []
 
     def start_one(
@@ -126,20 +129,44 @@ def start(tmp_path: Path, domain: int) -> Iterator[Callable[..., Process]]:
         for key, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             words += ['-p', f'{key.replace("__", ".")}:={text}']
-        log = tmp_path / f'{name}_{len(started)}.log'
-        started.append(Process(words, log))
+        started.append(Process(words, folder / f'{name}_{len(started)}.log', domain))
         return started[-1]
 
-    yield start_one
-    running = [each.process for each in started if each.process.poll() is None]
-    for process in running:
-        process.terminate()
-    for process in running:
-        try:
-            process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+    try:
+        yield start_one
+    finally:
+        running = [each.process for each in started if each.process.poll() is None]
+        for process in running:
+            process.terminate()
+        for process in running:
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@pytest.fixture
+def start(tmp_path: Path, domain: int) -> Iterator[Callable[..., Process]]:
+    """Return a function that starts a program, a node with its parameters; ended afterwards."""
+    with _starting(tmp_path, domain) as start_one:
+        yield start_one
+
+
+@pytest.fixture(scope='module')
+def start_for_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Peer]]:
+    """Return a function that starts a node for all tests of a file, and returns its only peer."""
+    with ExitStack() as stack:
+
+        def start_one(name: str, **parameters: Any) -> Peer:
+            domain = next(_domains)
+            start = stack.enter_context(_starting(tmp_path_factory.mktemp(name), domain))
+            start(name, **parameters)
+            peer = Peer(domain)
+            stack.callback(peer.close)
+            return peer
+
+        yield start_one
 
 
 class Peer:
