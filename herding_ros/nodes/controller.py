@@ -110,7 +110,7 @@ class Controller(HerdingNode):
         self._pilot.stop()
 
     def _subscribe_when_heard(self) -> None:
-        """Subscribe to observations only once those who need the replies hear them."""
+        """Subscribe to observations only once the subscribers of the replies are matched."""
         settings = self._settings
         if settings.lockstep and not all(
             any(

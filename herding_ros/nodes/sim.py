@@ -64,7 +64,7 @@ class Sim(HerdingNode):
     """A herd behind the topics of real sheep trackers and robots."""
 
     def __init__(self) -> None:
-        """Declare parameters, load the kernels, then wait until somebody listens."""
+        """Declare parameters, load the kernels, then wait for subscribers."""
         super().__init__('sim')
         self._settings = settings = declare(self, SimSettings())
         crowd = declare_crowd(self)
@@ -105,7 +105,7 @@ class Sim(HerdingNode):
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
 
     def _start_when_heard(self) -> None:
-        """Publish the first state once those that need it hear it."""
+        """Publish the first state once its subscribers are matched."""
         settings, sensors = self._settings, [self._sheep, *self._dogs]
         everything = [*sensors, self._true_sheep, *self._true_dogs]
         everything += [self._tick, self._markers, self._diagnostics]
