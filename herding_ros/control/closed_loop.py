@@ -70,13 +70,13 @@ def play(
     All policies see the same observations of the same flock under the same noise.
     """
     world = simulation.world
-    t, x, d, u = [0.0], [simulation.state.x], [simulation.state.d], []
+    t, x, d, u = [0.0], [simulation.state.x], [simulation.state.dogs], []
     home = 0 if simulation.arrived else None
     while not (stop and home is not None) and t[-1] < time_limit - 0.5 * world.control_period:
         simulation.advance(policy(simulation.observe().state, t[-1]))
         t.append(simulation.nanoseconds * 1e-9)
         x.append(simulation.state.x)
-        d.append(simulation.state.d)
+        d.append(simulation.state.dogs)
         u.append(simulation.dog_velocities)
         if home is None and simulation.arrived:
             home = len(u)

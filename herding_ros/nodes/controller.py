@@ -73,6 +73,7 @@ class Controller(HerdingNode):
         self._settings = settings = declare(self, ControllerSettings())
         crowd = declare_crowd(self)
         control = declare_control(self)
+        self._control = control
         self._control_period = control.horizon.control_period
         self._first_stamp: int | None = None
         self._is_period_checked = False
@@ -128,7 +129,7 @@ class Controller(HerdingNode):
         self.destroy_timer(self._waiting)
         self._observations = Observations(
             self, settings.dogs, settings.frame, settings.most_sheep, settings.state_timeout,
-            self._control_period, self._refused,
+            self._control, self._refused,
         )  # fmt: skip
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1, raw=True)
         self.create_timer(_STATE_PERIOD, self._publish_state, clock=self._wall)

@@ -10,6 +10,7 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
+from herding_ros.control.parameters import Control
 from herding_ros.control.pilot import is_set_back, Observed
 from herding_ros.model.state import Array, HerdState
 
@@ -29,7 +30,7 @@ class Observations:
         frame: str,
         most_sheep: int,
         timeout: float,
-        control_period: float,
+        control: Control,
         refused: Refusals,
     ) -> None:
         """Subscribe. Stamps older than `timeout` [s], or as far in the future, are refused."""
@@ -38,11 +39,12 @@ class Observations:
         self._frame = frame
         self._most_sheep = most_sheep
         self._timeout = timeout
-        self._control_period = control_period
+        self._control_period = control.horizon.control_period
+        self._motion = control.motion
         self._refused = refused
         self._now = 0
         self._flock: messages.Sheep | None = None
-        self._places: dict[int, tuple[int, Array]] = {}
+        self._dogs: dict[int, tuple[int, Array]] = {}
         self._sheep = Inbox(node, PointCloud2, 'sheep', 10, qos_overriding_options=ADJUSTABLE)
         self._odometry = [
             Inbox(node, Odometry, f'dog_{m + 1}/odom', 10, qos_overriding_options=ADJUSTABLE)
@@ -55,7 +57,7 @@ class Observations:
 
     def _forget(self) -> None:
         self._flock = None
-        self._places.clear()
+        self._dogs.clear()
 
     def _take(self, now: int | None = None) -> None:
         """Take the messages that have come in; stamps are checked if `now` [ns] is given."""
@@ -69,9 +71,9 @@ class Observations:
         for m, inbox in enumerate(self._odometry):
             for data, _ in inbox.take():
                 try:
-                    ns, place, heading = messages.dog_in(data, self._frame)
-                    self._check_stamp(ns, now, self._places[m][0] if m in self._places else 0)
-                    self._places[m] = ns, place
+                    ns, position, heading, velocity = messages.dog_in(data, self._frame)
+                    self._check_stamp(ns, now, self._dogs[m][0] if m in self._dogs else 0)
+                    self._dogs[m] = ns, self._state_of_dog(position, heading, velocity)
                     self.headings[m] = heading
                 except ValueError as error:
                     self._refused.add(f'dog_{m + 1}/odom', error)
@@ -86,10 +88,10 @@ class Observations:
     def complete(self) -> Observed | None:
         """Return the herd when all messages have the same stamp, and each stamp only once."""
         self._take()
-        stamps = {ns for ns, _ in self._places.values()}
+        stamps = {ns for ns, _ in self._dogs.values()}
         if self._flock is None or stamps != {self._flock.ns}:
             return None
-        if len(self._places) < len(self._odometry):
+        if len(self._dogs) < len(self._odometry):
             return None
         observed = self._observed(self._flock, tuple(range(len(self._odometry))))
         self._forget()
@@ -102,11 +104,18 @@ class Observations:
         self._now = now
         self._take(now)
         oldest = now - self._timeout * 1e9
-        dogs = tuple(m for m, (ns, _) in sorted(self._places.items()) if ns >= oldest)
+        dogs = tuple(m for m, (ns, _) in sorted(self._dogs.items()) if ns >= oldest)
         if self._flock is None or self._flock.ns < oldest or not dogs:
             return None
         return self._observed(self._flock, dogs)
 
     def _observed(self, flock: messages.Sheep, dogs: tuple[int, ...]) -> Observed:
-        places = np.array([self._places[m][1] for m in dogs])
-        return Observed(flock.ns, flock.ids, HerdState(flock.x, flock.v, places), dogs)
+        states = np.array([self._dogs[m][1] for m in dogs])
+        return Observed(flock.ns, flock.ids, HerdState(flock.x, flock.v, states), dogs)
+
+    def _state_of_dog(self, position: Array, heading: float, velocity: Array) -> Array:
+        """Return the state (S,) of a dog; refuse odometry that lacks what its motion needs."""
+        state = self._motion.state(position[None], np.array([heading]), velocity[None])[0]
+        if not np.isfinite(state).all():
+            raise Refused('not finite', f'the state of a dog must be finite, got {state.tolist()}')
+        return state

@@ -12,6 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
@@ -177,17 +178,23 @@ class Sim(HerdingNode):
         ns, true, u = simulation.nanoseconds, simulation.state, simulation.dog_velocities
         seen = simulation.observe()
         self._tick.publish(ClockMessage(clock=messages.stamp_of(ns)))
-        for m, publisher in enumerate(self._dogs):
-            publisher.publish(
-                messages.odometry(seen.state.d[m], seen.dog_velocities[m], m + 1, ns, frame)
-            )
+        self._publish_dogs(self._dogs, seen.state.d, seen.dog_velocities)
         self._sheep.publish(messages.cloud(seen.state.x, seen.state.v, ns, frame))
         self._true_sheep.publish(messages.cloud(true.x, true.v, ns, frame))
-        for m, publisher in enumerate(self._true_dogs):
-            publisher.publish(messages.odometry(true.d[m], u[m], m + 1, ns, frame))
+        self._publish_dogs(self._true_dogs, true.d, u)
         if simulation.periods % _PERIODS_PER_MARKER == 0:
             goal = self._run.goal
-            self._markers.publish(messages.marker_array(true.x, true.d, goal, ns, frame))
+            self._markers.publish(messages.marker_array(true.x, true.dogs, goal, ns, frame))
+
+    def _publish_dogs(self, publishers: list[Publisher], d: Array, u: Array) -> None:
+        """Publish odometry of dogs in states d (M, S) with velocities u (M, 2) [m/s]."""
+        simulation, frame = self._run.simulation, self._settings.frame
+        dogs = zip(*simulation.world.motion.odometry(d, u), strict=True)
+        for m, (publisher, dog) in enumerate(zip(publishers, dogs, strict=True), start=1):
+            position, heading, velocity = dog
+            publisher.publish(
+                messages.odometry(position, velocity, m, simulation.nanoseconds, frame, heading)
+            )
 
     def _publish_diagnostics(self) -> None:
         simulation, goal = self._run.simulation, self._run.goal

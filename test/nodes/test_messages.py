@@ -349,10 +349,14 @@ def test_dog_and_heading_come_out_as_they_went_in(
     message.pose.pose.orientation.w = length * math.cos(heading / 2)
     message.pose.covariance = message.twist.covariance = values[0, 0] + np.arange(36.0)
     foreign = in_either_order(serialize_message(message), Odometry, big)
-    ns, position, out = messages.dog_in(foreign, 'map')
+    ns, position, out, _ = messages.dog_in(foreign, 'map')
     assert ns == 5
     assert np.array_equal(position, values[0])
     assert out == pytest.approx(heading, abs=1e-12)
+    ours = messages.odometry(values[0], values[1], 3, 5, 'map', heading)
+    _, _, out, velocity = messages.dog_in(ours, 'map')
+    assert out == pytest.approx(heading, abs=1e-12)
+    assert velocity == pytest.approx(values[1], abs=1e-15 + 1e-12 * np.abs(values[1]).max())
 
 
 @given(turns, st.floats(-1.5, 1.5), turns)
@@ -365,7 +369,7 @@ def test_heading_is_where_the_nose_points(roll: float, pitch: float, yaw: float)
     )  # fmt: skip
     message = deserialize_message(ODOMETRY, Odometry)
     message.pose.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
-    _, _, heading = messages.dog_in(serialize_message(message), 'map')
+    _, _, heading, _ = messages.dog_in(serialize_message(message), 'map')
     assert heading == pytest.approx(yaw, abs=1e-10)
 
 

@@ -19,10 +19,13 @@ from herding_ros.nodes.wire import Reader
 from herding_ros.point_cloud import points
 
 from .checks import check_finite, check_frame, check_size
-from .stamps import dog_frame
+from .stamps import dog_frame, turned
 
 _ODOMETRY_NUMBERS = 7 + 36 + 6 + 36
 """Pose and twist, each with its covariance."""
+
+_TO_VELOCITY = 7 + 36 + 2
+"""Those up to the linear velocity along x and y."""
 
 _ROUNDING = 0.1
 """By how much the squared length of a quaternion may differ from 1."""
@@ -119,13 +122,18 @@ def _point_cloud_in(reader: Reader, most: int) -> _PointCloud:
     return _PointCloud(height, width, fields, is_bigendian, point_step, row_step, points_data)
 
 
-def dog_in(data: bytes, frame: str) -> tuple[int, Array, float]:
-    """Time [ns], position (2,) [m] and heading [rad] of a dog in an Odometry."""
+def dog_in(data: bytes, frame: str) -> tuple[int, Array, float, Array]:
+    """Time [ns], position (2,) [m], heading [rad] and velocity (2,) [m/s] in an Odometry.
+
+    The velocity is turned from the dog's axes into those of the map; it may be anything, since
+    not every motion model needs it.
+    """
     reader = Reader(data)
     ns, given = reader.header()
     check_frame('odometry', given, frame)
     reader.string()  # the child frame
-    d_x, d_y, _, x, y, z, w = reader.doubles(_ODOMETRY_NUMBERS, 7)
+    numbers = reader.doubles(_ODOMETRY_NUMBERS, _TO_VELOCITY)
+    d_x, d_y, _, x, y, z, w = numbers[:7]
     check_size('dog position and orientation', d_x, d_y, x, y, z, w)
     if not abs(x * x + y * y + z * z + w * w - 1.0) <= _ROUNDING:
         raise Refused(
@@ -134,7 +142,8 @@ def dog_in(data: bytes, frame: str) -> tuple[int, Array, float]:
         )
     # Does not depend on the length, so that nothing has to be normalised.
     heading = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    return ns, np.array([d_x, d_y]), heading
+    velocity = turned(np.array(numbers[-2:]), -heading)
+    return ns, np.array([d_x, d_y]), heading, np.array(velocity)
 
 
 def command_in(data: bytes, m: int, frame: str, max_speed: float) -> tuple[int, Array]:

@@ -18,7 +18,7 @@ from herding_ros.control.plan import Plan
 from herding_ros.model.state import Array
 from herding_ros.nodes.wire import Template
 
-from .stamps import dog_frame
+from .stamps import dog_frame, turned
 
 _COORDINATES = ('x', 'y', 'z', 'vx', 'vy', 'vz')
 _CLOUD = np.dtype([('id', '<u4'), *((name, '<f4') for name in _COORDINATES)])
@@ -64,11 +64,12 @@ def _cloud(count: int, frame: str) -> Template:
     return Template(message, [('sheep', _CLOUD, count), ('is_dense', '?')])
 
 
-def odometry(d: Array, u: Array, m: int, ns: int, frame: str) -> bytes:
-    """Odometry of dog m at d (2,) [m] with velocity u (2,) [m/s]; it faces along x."""
+def odometry(d: Array, u: Array, m: int, ns: int, frame: str, heading: float = 0.0) -> bytes:
+    """Odometry of dog m at d (2,) [m] with velocity u (2,) [m/s] in the map, and heading [rad]."""
     template = _odometry(m, frame)
     template.numbers['position'][:2] = d
-    template.numbers['linear'][:2] = u
+    template.numbers['orientation'][2:] = math.sin(0.5 * heading), math.cos(0.5 * heading)
+    template.numbers['linear'][:2] = turned(u, heading)
     return template.stamped(ns)
 
 
@@ -81,7 +82,7 @@ def _odometry(m: int, frame: str) -> Template:
 def command(u: Array, heading: float, m: int, ns: int) -> bytes:
     """Velocity u (2,) [m/s] in the map as a TwistStamped in the body frame of dog m."""
     template = _command(m)
-    template.numbers['linear'][:2] = _turned(u, heading)
+    template.numbers['linear'][:2] = turned(u, heading)
     return template.stamped(ns)
 
 
@@ -92,15 +93,8 @@ def _command(m: int) -> Template:
 
 def twist(u: Array, heading: float) -> Twist:
     """Velocity u (2,) [m/s] in the map as a command in the body frame of a dog."""
-    x, y = _turned(u, heading)
+    x, y = turned(u, heading)
     return Twist(linear=Vector3(x=x, y=y))
-
-
-def _turned(u: Array, heading: float) -> tuple[float, float]:
-    """Return u (2,) in axes that are turned by heading [rad]."""
-    c, s = math.cos(heading), math.sin(heading)
-    x, y = u.tolist()
-    return c * x + s * y, c * y - s * x
 
 
 def trajectory(plan: Plan, dogs: Array, names: tuple[str, ...], ns: int, frame: str) -> bytes:
