@@ -13,8 +13,9 @@ from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, finite, HerdState
 
 from .costs.cost import Cost
+from .lockstep_pilot import LockstepPilot
 from .parameters import check_lockstep, Control
-from .pilot import LockstepPilot, Observed
+from .pilot import Observed
 from .receding_horizon import RecedingHorizon
 from .solve_report import SolveReport
 

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pilot decides what the dogs do, given the time and what was observed. No ROS.
 
-Two pilots share the filter, the goal and the count of what went wrong. They differ in how they
-keep time: `LockstepPilot`, below, replies to each observation, however long a solve takes;
-`RealTimePilot`, in real_time_pilot.py, gives commands by its own clock and plans ahead in the
-background.
+Two pilots share what is here: the filter, the goal and the count of what went wrong. They differ
+in how they keep time: `LockstepPilot` replies to each observation, however long a solve takes;
+`RealTimePilot` gives commands by its own clock and plans ahead in the background.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from herding_ros.model.state import Array, finite, HerdState
 
 from .estimator import StateEstimator
 from .parameters import Control
-from .schedule import Request, ScheduledPlan
+from .schedule import ScheduledPlan
 from .solution import NoTimeFor
 from .window import Window
 
@@ -235,60 +234,6 @@ class Pilot:
         decision = Decision(command, announcement, tuple(self._events), self._error)
         self._events, self._error = [], None
         return decision
-
-
-class LockstepPilot(Pilot):
-    """Replies to each observation, and makes a plan first if one is due.
-
-    A plan is due when the accepted part of the last one is over, when the goal has moved, or when
-    time was set back. One that cannot be made is tried again at the next observation; until then
-    the last plan is played to its end.
-    """
-
-    def __init__(self, planner: Planner, dogs: int) -> None:
-        """Plan by `planner`, not to be used elsewhere, for so many dogs."""
-        self._plan: ScheduledPlan | None = None
-        super().__init__(planner, dogs)
-
-    def _start_afresh(self) -> None:
-        super()._start_afresh()
-        self._plan = None
-
-    def decide(self, observed: Observed) -> Decision:
-        """Return the command for an observation of all dogs."""
-        t = self._advance_to(observed.t)
-        self._visible = observed.dogs
-        state = self._observe(observed).state
-        announcement = None
-        if self._is_plan_due(observed):
-            try:
-                announcement = self._make_plan(observed, state)
-            except Exception as error:
-                self._record_failure(error)
-        stand = np.zeros((self.dogs, 2))
-        command = stand if self._plan is None else self._plan.velocities(t, self.dogs)
-        return self._decision(command, announcement)
-
-    def condition(self, t: float) -> Condition:
-        """Return what the pilot is doing at t [s]."""
-        if self._plan is None and self.plans_failed:
-            return Condition('standing: no plan could be made', False)
-        return Condition('replying in lockstep', True)
-
-    def _is_plan_due(self, observed: Observed) -> bool:
-        last = self._plan
-        return (
-            last is None
-            or last.request != Request(self._goal, observed.dogs)
-            or self._planner.due(self._time)
-        )
-
-    def _make_plan(self, observed: Observed, state: HerdState) -> Announcement:
-        self._prepare_planner()
-        window = self._planner.solve(state, self._time, lambda _: self._stopping.is_set())
-        request = Request(self._goal, observed.dogs)
-        self._plan = ScheduledPlan(window, request, self._control.horizon.accepted)
-        return self._announce(self._plan, 0.0)
 
 
 def is_set_back(t: float, last: float, control_period: float) -> bool:

@@ -20,8 +20,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import Control
-from herding_ros.control.pilot import Announcement, Decision, dog_name, LockstepPilot
+from herding_ros.control.pilot import Announcement, Decision, dog_name
 from herding_ros.control.real_time_pilot import RealTimePilot, Timing
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd

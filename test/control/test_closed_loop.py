@@ -6,8 +6,8 @@ import pytest
 
 from herding_ros.control.closed_loop import as_policy, closed_loop, ClosedLoopRun, play
 from herding_ros.control.costs.containment import Containment
+from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping
-from herding_ros.control.pilot import LockstepPilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.simulation import Simulation, World

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from herding_ros.control.closed_loop import as_policy, closed_loop
+from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
-from herding_ros.control.pilot import LockstepPilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World

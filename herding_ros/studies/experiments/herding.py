@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from herding_ros.control.closed_loop import as_policy, play, Policy
+from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import Control
-from herding_ros.control.pilot import LockstepPilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.crowd import CROWDS
