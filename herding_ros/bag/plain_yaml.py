@@ -75,6 +75,6 @@ def from_yaml(string: str) -> Any:
                 raise ValueError(
                     f'must have at most {MOST_EVENTS} values, nested at most {DEEPEST} deep'
                 )
-        return yaml.load(string, _loader)
+        return _loader(string).get_single_data()
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from error

@@ -26,8 +26,8 @@ def is_active(peer: Any, name: str, namespace: str = '') -> Callable[[], object]
 
 @pytest.mark.parametrize(
     ('name', 'how'),
-    [('sim', {}), ('controller', {'lockstep': True}), ('sim', {'wait_for': 'recorder'})],
-    ids=['plain', 'lockstep', 'wait_for'],
+    [('controller', {}), ('sim', {'wait_for': 'recorder'})],
+    ids=['plain', 'wait_for'],
 )
 def test_second_one_is_refused(
     start: Callable[..., Any], peer: Any, name: str, how: dict[str, Any]
@@ -153,6 +153,7 @@ def test_who_was_first_waits_longest(
     assert 0.0 < waited <= 2.0 * duplicates.WATCH_PERIOD
 
 
+@pytest.mark.slow
 def test_second_herd_says_why_it_ends_and_leaves_the_first_alone(
     start: Callable[..., Any], tmp_path: Path
 ) -> None:

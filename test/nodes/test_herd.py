@@ -28,7 +28,7 @@ from herding_ros.model.simulation import World
 from herding_ros.nodes import herd
 
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
-LARGE = 3000
+LARGE = 1600
 OPTIONS = ['--sheep', '10', '--dogs', '3', '--seed', '2', '--goal', '0.4', '0.2']
 
 
@@ -145,6 +145,7 @@ def test_nodes_that_start_together_find_each_other_at_once(
     assert sorted(took)[1] < 2.5
 
 
+@pytest.mark.slow
 def test_real_time_arrives_too(start: Callable[..., Any], tmp_path: Path) -> None:
     many = ['--sheep', '20', '--dogs', '5']
     process = start('herd', *OPTIONS, *many, '--real-time', '10', '--out', str(tmp_path / 'out'))
@@ -187,7 +188,7 @@ def test_interrupt_ends_all_children_and_leaves_a_valid_bag(
     start: Callable[..., Any], tmp_path: Path
 ) -> None:
     out = tmp_path / 'out'
-    process = start('herd', '--real-time', '2', '--out', str(out))
+    process = start('herd', *OPTIONS, '--real-time', '2', '--out', str(out))
     process.wait_for('to go')
     children = psutil.Process(process.process.pid).children()
     assert len(children) == 3
@@ -201,7 +202,7 @@ def test_interrupt_ends_all_children_and_leaves_a_valid_bag(
 def test_dead_child_is_named_with_its_last_words(
     start: Callable[..., Any], tmp_path: Path
 ) -> None:
-    process = start('herd', '--real-time', '2', '--out', str(tmp_path / 'out'))
+    process = start('herd', *OPTIONS, '--real-time', '2', '--out', str(tmp_path / 'out'))
     process.wait_for('to go')
     children = psutil.Process(process.process.pid).children()
     controller = next(c for c in children if 'herding_ros.nodes.controller' in c.cmdline())
@@ -216,7 +217,7 @@ def test_dead_child_is_named_with_its_last_words(
 def test_dead_recorder_is_named_though_its_bag_is_not_closed(
     start: Callable[..., Any], tmp_path: Path
 ) -> None:
-    process = start('herd', '--real-time', '2', '--out', str(tmp_path / 'out'))
+    process = start('herd', *OPTIONS, '--real-time', '2', '--out', str(tmp_path / 'out'))
     process.wait_for('to go')
     children = psutil.Process(process.process.pid).children()
     next(c for c in children if 'herding_ros.nodes.recorder' in c.cmdline()).kill()

@@ -41,16 +41,16 @@ from herding_ros.nodes.refusals import Refused
 PERIOD = 0.0005
 """Time between two wrong messages [s]."""
 
-BATCH = 2000
+BATCH = 1000
 """After as many it is waited until the node has counted all of them, so that none is lost."""
 
 DEPTH = QoSProfile(depth=2 * BATCH)
 
 MEMORY = 2e6
-"""What a process may grow by while it refuses 10,000 messages [bytes].
+"""What a process may grow by while it refuses 5,000 messages [bytes].
 
-200 for each: an object of Python left over for each would be more. What the allocators keep for
-later differs by some 1 MB.
+400 for each, about what such a message takes. What the allocators keep for later differs by some
+1 MB.
 """
 
 MEMORY_OF_LARGE = 20e6

@@ -154,7 +154,7 @@ def in_either_order(data: bytes, kind: Any, big: bool) -> bytes:
 
 
 @given(foreign_clouds(), st.integers(0, 3))
-@settings(max_examples=200)
+@settings(max_examples=100)
 def test_any_layout_of_a_cloud_is_understood(
     cloud: tuple[bytes, np.ndarray, np.ndarray | None], padding: int
 ) -> None:
@@ -469,7 +469,7 @@ def read_or_refused(what: str, data: bytes) -> None:
 @pytest.mark.parametrize('what', READERS)
 @given(st.sampled_from([b'', b'\0\1\0\0', b'\0\0\0\0', b'\0\3\0\0', b'\0\1\0\0' + bytes(12)]),
        st.binary(max_size=800))  # fmt: skip
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_random_bytes_are_harmless(what: str, beginning: bytes, data: bytes) -> None:
     read_or_refused(what, beginning + data)
 
@@ -502,7 +502,7 @@ def mutations(draw: Any, data: bytes) -> bytes:
 @pytest.mark.parametrize('big', [False, True])
 @pytest.mark.parametrize('what', READERS)
 @given(st.data())
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_mutated_messages_are_harmless(what: str, big: bool, data: st.DataObject) -> None:
     valid, kind = VALID[what]
     read_or_refused(what, data.draw(mutations(in_either_order(valid, kind, big))))
