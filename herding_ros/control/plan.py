@@ -1,4 +1,5 @@
-"""A plan: what each dog shall do from now on."""
+# SPDX-License-Identifier: Apache-2.0
+"""A plan: velocities of the dogs from some time on."""
 
 from __future__ import annotations
 

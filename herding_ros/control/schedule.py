@@ -51,7 +51,7 @@ class ScheduledPlan:
 
 
 class Schedule:
-    """Plays of all plans the one that began last.
+    """Plays the plan that began last.
 
     A plan is only ever superseded by another that has begun. Nothing takes away the plan that is
     played, nor one that waits for its start: so dogs always have a plan once they have had one,
@@ -79,8 +79,7 @@ class Schedule:
     def forget_before(self, t: float) -> None:
         """Forget the plans that were superseded by t [s]."""
         playing = self.playing(t)
-        if playing is not None:
-            del self._plans[: self._plans.index(playing)]
+        self._plans = [plan for plan in self._plans if plan is playing or plan.start > t]
 
     def velocities(self, t: float, dogs: int) -> Array:
         """Return the velocities (dogs, 2) [m/s] of all dogs at t [s]; zero without a plan."""

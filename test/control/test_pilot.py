@@ -420,6 +420,18 @@ def test_goal_that_is_moved_back_before_a_plan_is_begun_asks_for_nothing() -> No
     assert len(field.planner.solved) == before
 
 
+def test_of_two_plans_with_the_same_start_the_newer_is_played() -> None:
+    """As when the clock stands, or is set back by a little, while the goal moves."""
+    field = Field(solving=0.0).herding()
+    for goal in ((3.0, 0.0), NEW_GOAL):
+        field.pilot.move_goal(np.array(goal))
+        field.tick(0.0)
+    field.tick(0.0)
+    assert field.starts[-1] == field.starts[-2]
+    field.run(LEAD + 2 * PERIOD)
+    assert goal_of(command(field.tick())) == [NEW_GOAL] * 3
+
+
 def test_newest_of_several_goals_wins() -> None:
     field = Field().herding()
     for goal in ((3.0, 0.0), (2.0, 0.0), NEW_GOAL):
