@@ -10,7 +10,7 @@ import sys
 from rich.console import Console
 from rich.progress import Progress
 
-from .data_file import DataFile
+from .inspection import Inspection
 from .metadata import all_topics, FILE_NAME
 from .recovery import BROKEN, recover, Recovery
 
@@ -30,8 +30,6 @@ written.
 Bags of `ros2 bag record -s mcap` are recovered too, those in sqlite3 are not.
 Example: recover runs/2025-01-31_12-00-00/bag
 """
-
-_MOST_FAULTS = 10
 
 
 def main(args: list[str] | None = None) -> int:
@@ -74,12 +72,15 @@ def _in_words(folder: Path, recovery: Recovery) -> str:
     return '\n'.join(lines)
 
 
-def _line(file: DataFile) -> str:
+def _line(file: Inspection) -> str:
     name, count = file.path.name, file.information.message_count
     if not file.faults:
         return f'{name}: whole, {count} messages'
-    recovered = f'{count} messages recovered; the original is {name}{BROKEN}'
-    return '\n    '.join([f'{name}: {recovered}', *file.faults[:_MOST_FAULTS]])
+    lost = f'{file.lost_bytes} bytes'
+    if file.lost_messages:
+        lost += f' and {file.lost_messages} messages whose topics were in them'
+    recovered = f'{count} messages recovered, lost {lost}; the original is {name}{BROKEN}'
+    return '\n'.join([f'{name}: {recovered}', *(f'    {fault}' for fault in file.faults)])
 
 
 if __name__ == '__main__':

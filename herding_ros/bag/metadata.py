@@ -13,7 +13,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import Any
 
-import yaml
+from mcap.records import Channel, Schema
+
+from .plain_yaml import from_yaml, to_yaml
 
 VERSION = 9
 """From this version on, policies are written by name and offered profiles as a sequence."""
@@ -36,10 +38,16 @@ PROFILES_KEY = 'offered_qos_profiles'
 ROS_DISTRO = 'jazzy'
 """Release of ROS 2 whose format and messages are written."""
 
-MOST_CHARACTERS = 4_000_000
-"""No longer YAML is read."""
-
-_DEEPEST = 32
+_POLICIES = {
+    'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
+    'reliability': ('system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
+    'durability': ('system_default', 'transient_local', 'volatile', 'unknown', 'best_available'),
+    'liveliness': (
+        *('system_default', 'automatic', 'manual_by_node', 'manual_by_topic'),
+        *('unknown', 'best_available'),
+    ),
+}
+"""Names of the policies by their numbers, which the releases before Jazzy wrote."""
 
 
 @dataclass
@@ -78,6 +86,38 @@ class FileInformation:
         self.topics[topic].message_count += 1
 
 
+def topic_information(channel: Channel, schema: Schema) -> TopicInformation:
+    """Return a topic by its records in a data file; its messages are not counted."""
+    profiles = offered_profiles(channel, strict=False)
+    type_hash = channel.metadata.get('topic_type_hash', '')
+    return TopicInformation(channel.topic, schema.name, profiles, type_hash)
+
+
+def offered_profiles(channel: Channel, strict: bool = True) -> list[dict[str, Any]]:
+    """Return the QoS profiles of a topic, with policies by name.
+
+    When they cannot be read: raises ValueError, or returns none if not `strict`.
+    """
+    try:
+        profiles = from_yaml(channel.metadata.get(PROFILES_KEY, '')) or []
+        if not (isinstance(profiles, list) and all(isinstance(each, dict) for each in profiles)):
+            raise ValueError('QoS profiles must be a list of maps')
+    except ValueError:
+        if strict:
+            raise
+        return []
+    return [_named(profile) for profile in profiles]
+
+
+def _named(profile: dict[str, Any]) -> dict[str, Any]:
+    """Return a QoS profile with its policies by name."""
+    for policy, names in _POLICIES.items():
+        number = profile.get(policy)
+        if isinstance(number, int):
+            profile[policy] = names[number] if 0 <= number < len(names) else 'unknown'
+    return profile
+
+
 def all_topics(files: Sequence[FileInformation]) -> dict[str, TopicInformation]:
     """Return the topics of several files, each with the number of its messages in all."""
     topics: dict[str, TopicInformation] = {}
@@ -90,12 +130,14 @@ def all_topics(files: Sequence[FileInformation]) -> dict[str, TopicInformation]:
 
 def bag_map(
     files: Sequence[FileInformation],
-    said: Mapping[str, Any],
+    custom_data: Mapping[str, str],
+    ros_distro: str = ROS_DISTRO,
+    compression: tuple[str, str] = ('', ''),
 ) -> dict[str, Any]:
     """Return the map that describes a bag of these files.
 
-    What does not follow from them is as in the map `said`: custom data, release of ROS 2, and what
-    rosbag2 itself compressed.
+    `compression` is the format and the mode of what rosbag2 compresses by itself, whole files or
+    messages; that of the chunks within a file is not in the map.
     """
     full = [file for file in files if file.message_count]
     first_ns = min((file.first_ns for file in full), default=0)
@@ -118,8 +160,8 @@ def bag_map(
             }
             for topic in all_topics(files).values()
         ],
-        'compression_format': str(said.get('compression_format') or ''),
-        'compression_mode': str(said.get('compression_mode') or ''),
+        'compression_format': compression[0],
+        'compression_mode': compression[1],
         'relative_file_paths': [file.path for file in files],
         'files': [
             {
@@ -129,8 +171,8 @@ def bag_map(
             }
             for file in files
         ],
-        'custom_data': string_map(said.get('custom_data')) or None,
-        'ros_distro': str(said.get('ros_distro') or ROS_DISTRO),
+        'custom_data': dict(custom_data) or None,
+        'ros_distro': ros_distro,
     }
 
 
@@ -198,37 +240,3 @@ def string_map(content: object) -> dict[str, str]:
     """Return custom data as strings, nothing if it is not a map."""
     items = content.items() if isinstance(content, Mapping) else ()
     return {str(key): str(value) for key, value in items}
-
-
-class _Dumper(yaml.CSafeDumper):
-    """Writes an object that occurs twice twice: rosbag2's readers expect no aliases."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def to_yaml(data: Any) -> str:
-    """Return data as YAML in block style, keys in their order, no line ever folded."""
-    width = 2**31 - 1
-    return yaml.dump(data, None, _Dumper, default_flow_style=False, sort_keys=False, width=width)
-
-
-def from_yaml(string: str) -> Any:
-    """Return the plain data in a string, in time and memory linear in its length.
-
-    Raises ValueError when it is not YAML, is too long or too deep, or has aliases or tags.
-    """
-    if len(string) > MOST_CHARACTERS:
-        raise ValueError(f'must have at most {MOST_CHARACTERS} characters, got {len(string)}')
-    depth = 0
-    try:
-        for event in yaml.parse(string, yaml.CSafeLoader):
-            if isinstance(event, yaml.AliasEvent) or getattr(event, 'tag', None):
-                raise ValueError(f'must have neither aliases nor tags, got one{event.start_mark}')
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > _DEEPEST:
-                raise ValueError(f'must be nested at most {_DEEPEST} deep')
-        return yaml.CSafeLoader(string).get_single_data()
-    except yaml.YAMLError as error:
-        raise ValueError(str(error)) from error

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import ReaderError
 from rosbags.typesys import get_typestore, Stores
 
 from ..point_cloud import points
-from .data_file import inspect
+from .inspection import inspect
 from .metadata import advice, file_names, read_metadata, string_map
 from .recorded_run import Array, RecordedRun, Replan, Topic
 

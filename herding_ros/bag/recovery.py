@@ -3,42 +3,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 import fcntl
+import json
 import os
 from pathlib import Path
 import re
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO
 
-from mcap.records import DataEnd, Message
+from mcap.records import Attachment, Chunk, DataEnd, McapRecord, Message, Metadata
 from mcap.writer import CompressionType, Writer
 
-from .data_file import DataFile, inspect, Open, open_file, profiles, records
+from .inspection import inspect, Inspection, Open, open_file
 from .metadata import (
     bag_map,
     FILE_NAME,
-    from_yaml,
+    offered_profiles,
     PROFILES_KEY,
     read_metadata,
     RECORD_KEY,
     RECORD_NAME,
-    to_yaml,
+    ROS_DISTRO,
+    string_map,
+    VERSION,
     write_metadata,
 )
+from .plain_yaml import from_yaml, to_yaml
+from .records import DamageError, records, records_in
 
 BROKEN = '.broken'
 """What the name of a file ends with that was replaced by a whole one."""
 
+_PARTIAL = '.partial'
+_CHUNK_SIZE = 1024 * 1024
+_COMPRESSIONS = {'lz4': CompressionType.LZ4, 'zstd': CompressionType.ZSTD}
 
-class Recovery(NamedTuple):
+
+@dataclass(frozen=True)
+class Recovery:
     """What became of a bag.
 
     files: what was found in the data files, in their order; those with faults were replaced;
     new_metadata: whether metadata.yaml is new.
     """
 
-    files: Sequence[DataFile]
+    files: Sequence[Inspection]
     new_metadata: bool
 
     @property
@@ -67,7 +78,7 @@ def recover(folder: Path, opening: Open = open_file) -> Recovery:
     content = _bag_map(files, old)
     for file in broken:
         _rewrite(file, to_yaml(content), opening)
-    is_new = _in_order(old) != _in_order(content)
+    is_new = not _describes_the_same(old, content)
     if is_new:
         if (folder / FILE_NAME).exists():
             _check_names_are_free([folder / FILE_NAME])
@@ -113,7 +124,7 @@ def _check_names_are_free(paths: Sequence[Path]) -> None:
             raise FileExistsError(f'{kept} exists already and is not overwritten; move it away')
 
 
-def _bag_map(files: Sequence[DataFile], old: dict[str, Any]) -> dict[str, Any]:
+def _bag_map(files: Sequence[Inspection], old: dict[str, Any]) -> dict[str, Any]:
     """Return the map of a bag of these files.
 
     What does not follow from their records is taken from the last map that is kept in a file, or
@@ -131,60 +142,107 @@ def _bag_map(files: Sequence[DataFile], old: dict[str, Any]) -> dict[str, Any]:
     listed = [file.information for file in files]
     for topic in [topic for file in listed for topic in file.topics.values()]:
         topic.type_hash = topic.type_hash or hashes.get(topic.name, '')
-    return bag_map(listed, said)
+    keys = ('compression_format', 'compression_mode')
+    return bag_map(
+        listed,
+        string_map(said.get('custom_data')),
+        str(said.get('ros_distro') or ROS_DISTRO),
+        (str(said.get(keys[0]) or ''), str(said.get(keys[1]) or '')),
+    )
+
+
+def _describes_the_same(old: dict[str, Any], new: dict[str, Any]) -> bool:
+    """Whether a map says what the new one says.
+
+    Those of versions before this one have other words for the same; of them it is enough that
+    they list the same files with as many messages.
+    """
+    if old.get('version') == VERSION:
+        return _in_order(old) == _in_order(new)
+    keys = ('storage_identifier', 'relative_file_paths', 'message_count', 'starting_time')
+    return old.get('version') in range(1, VERSION) and all(old.get(k) == new[k] for k in keys)
 
 
 def _in_order(content: dict[str, Any]) -> dict[str, Any]:
-    """Return a map with its topics in some order that does not depend on theirs."""
+    """Return a map with its topics in the order of their names, each as JSON."""
     topics = content.get('topics_with_message_count') or []
-    return {**content, 'topics_with_message_count': sorted(topics, key=str)}
+    in_order = sorted(json.dumps(topic, sort_keys=True) for topic in topics)
+    return {**content, 'topics_with_message_count': in_order}
 
 
-def _rewrite(file: DataFile, metadata: str, opening: Open) -> None:
+def _rewrite(file: Inspection, metadata: str, opening: Open) -> None:
     """Replace a file by a copy of what is whole in it."""
-    unfinished = file.path.with_name(file.path.name + '.partial')
-    unfinished.unlink(missing_ok=True)  # a link there would lead out of the folder
-    try:
-        with unfinished.open('xb') as target, opening(file.path) as source:
-            known = CompressionType.__members__
-            compression = known.get(file.compression.upper(), CompressionType.NONE)
-            mcap = Writer(target, compression=compression, enable_data_crcs=True)
-            mcap.start(profile='ros2', library='herding_ros recover')
-            channels = _register_topics(file, mcap)
-            for _, _, record in records(source, []):
-                if isinstance(record, Message) and record.channel_id in channels:
-                    mcap.add_message(
-                        *(channels[record.channel_id], record.log_time, record.data),
-                        *(record.publish_time, record.sequence),
-                    )
-                elif isinstance(record, DataEnd):
-                    break
-            mcap.add_metadata(RECORD_NAME, {RECORD_KEY: metadata})
-            mcap.finish()
-            target.flush()
-            os.fsync(target.fileno())
-    except BaseException:
-        unfinished.unlink(missing_ok=True)
-        raise
+    unfinished = file.path.with_name(file.path.name + _PARTIAL)
+    with _new_file(unfinished) as target:
+        mcap = Writer(
+            target,
+            chunk_size=_CHUNK_SIZE,
+            compression=_COMPRESSIONS.get(file.compression, CompressionType.NONE),
+        )
+        mcap.start(profile=file.profile, library='herding_ros recover')
+        with opening(file.path) as source:
+            _copy(file, source, mcap)
+        mcap.add_metadata(RECORD_NAME, {RECORD_KEY: metadata})
+        mcap.finish()
+        target.flush()
+        os.fsync(target.fileno())
     _keep(file.path)
     unfinished.rename(file.path)
 
 
-def _register_topics(file: DataFile, mcap: Writer) -> dict[int, int]:
-    """Add all topics to a new file; returns their new numbers by the old."""
+def _copy(file: Inspection, source: BinaryIO, mcap: Writer) -> None:
+    """Copy what is whole in a data section."""
     schemas = {
         number: mcap.register_schema(schema.name, schema.encoding, schema.data)
         for number, schema in file.schemas.items()
     }
-    return {
+    channels = {
         number: mcap.register_channel(
             channel.topic,
             channel.message_encoding,
             schemas[channel.schema_id],
-            {**channel.metadata, PROFILES_KEY: to_yaml(profiles(channel))},
+            {**channel.metadata, PROFILES_KEY: to_yaml(offered_profiles(channel, strict=False))},
         )
         for number, channel in file.known_channels.items()
     }
+    for record in _whole_records(source):
+        if isinstance(record, Message) and record.channel_id in channels:
+            mcap.add_message(
+                *(channels[record.channel_id], record.log_time, record.data),
+                *(record.publish_time, record.sequence),
+            )
+        elif isinstance(record, Metadata) and record.name != RECORD_NAME:
+            mcap.add_metadata(record.name, record.metadata)
+        elif isinstance(record, Attachment):
+            mcap.add_attachment(
+                *(record.create_time, record.log_time, record.name),
+                *(record.media_type, record.data),
+            )
+
+
+def _whole_records(source: BinaryIO) -> Iterator[McapRecord]:
+    """Yield the records of a data section up to the damage, those of whole chunks one by one."""
+    with suppress(DamageError):
+        for _, _, record in records(source):
+            if isinstance(record, DataEnd):
+                return
+            if isinstance(record, Chunk):
+                with suppress(DamageError):
+                    yield from [found.record for found in records_in(record)]
+            else:
+                yield record
+
+
+@contextmanager
+def _new_file(path: Path) -> Iterator[Any]:
+    """Open a file that is removed when something goes wrong."""
+    path.unlink(missing_ok=True)
+    with path.open('xb') as stream:
+        try:
+            yield stream
+        except BaseException:
+            path.unlink()
+            raise
 
 
 def _keep(path: Path) -> None:

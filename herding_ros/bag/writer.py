@@ -4,53 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
-import fcntl
 import os
 from pathlib import Path
 import shutil
 from types import TracebackType
 from typing import Any
 
-from mcap.writer import CompressionType, Writer
-
-from .data_file import MOST_BYTES
 from .metadata import (
     all_topics,
     bag_map,
     FileInformation,
-    PROFILES_KEY,
-    RECORD_KEY,
-    RECORD_NAME,
-    to_yaml,
     TopicInformation,
     write_metadata,
 )
-
-CHUNK_SIZE = 64 * 1024
-"""Size of a chunk [byte]. A kill loses the chunk being filled, so it is small."""
-
-LARGEST_MESSAGE = MOST_BYTES - 1024 * 1024
-"""No larger message could be read back [byte]."""
-
-LAST_TIME_NS = 2**63 - 1
-"""Times in a bag are from 0 to this one [ns]."""
-
-RESERVE = 1024 * 1024
-"""Room that is taken from the disk at a time [byte]."""
-
-_MESSAGE = 31 + 16
-"""What a message takes besides its data: its record's head and an entry in the chunk's index."""
-
-_CHUNK = 49 + 73
-"""What a chunk takes besides its records: its head and an entry in the file's index."""
-
-_CHANNEL = 15 + 10
-"""What each topic takes in each chunk: the head of its index and an entry in the file's index."""
-
-_END = 4096
-"""What completes a file of no messages and no topics."""
+from .part import PartWriter
+from .plain_yaml import to_yaml
 
 
 class BagWriter:
@@ -62,7 +30,7 @@ class BagWriter:
     `close()` still makes what was written a complete bag, if the disk was full.
     """
 
-    _part: _File
+    _part: PartWriter
 
     def __init__(
         self,
@@ -197,7 +165,7 @@ class BagWriter:
         return too_long or 0 < self._max_size <= self._part.size
 
     def _open_part(self) -> None:
-        part = _File(self.path / f'{self.path.name}_{len(self._files)}.mcap')
+        part = PartWriter(self.path / f'{self.path.name}_{len(self._files)}.mcap')
         if self._files:
             self._earlier_size += self._part.size
         self._part = part
@@ -212,121 +180,4 @@ class BagWriter:
         write_metadata(self.path, self._bag_map())
 
     def _bag_map(self) -> dict[str, Any]:
-        return bag_map(self._files, {'custom_data': self._custom_data})
-
-
-class _File:
-    """A new data file.
-
-    Before anything is accepted, the room for it and for what completes the file is taken from the
-    disk; so a full disk is an OSError before anything is written, after which `finish()` still
-    works. Until then the file has up to `RESERVE` zero bytes at its end.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.information = FileInformation(path.name)
-        self._path = path
-        self._stream = path.open('xb')
-        with suppress(OSError):  # some network disks have no locks
-            fcntl.flock(self._stream, fcntl.LOCK_EX)  # so that `recover` leaves it alone
-        self._mcap = Writer(
-            self._stream,
-            chunk_size=2**62,  # flush() alone ends them
-            compression=CompressionType.NONE,
-            enable_data_crcs=True,
-        )
-        self._schemas: dict[str, int] = {}  # message type -> id in the file
-        self._channels: dict[str, int] = {}  # topic -> id in the file
-        self._chunk = 0  # bytes of the open chunk
-        self._final = 0  # at most: bytes of the file if it were completed now
-        self._reserved = 0  # bytes that the disk has given
-        self._broken = False  # the disk refused what it had room for: nothing may follow
-        try:
-            self._take(_END)
-            self._mcap.start(profile='ros2', library='herding_ros')
-            self._written = self._stream.tell()
-        except OSError:
-            self._stream.close()
-            path.unlink()
-            raise
-
-    @property
-    def size(self) -> int:
-        """Size of the file [byte]; until it is finished, without what completes it."""
-        return self._written + self._chunk
-
-    def add_topic(self, topic: TopicInformation, definition: str) -> None:
-        content = to_yaml([dict(profile) for profile in topic.qos_profiles])
-        # Twice here, and twice more in the bag's metadata, which are in the file and beside it.
-        size = len(definition.encode()) + 2 * len(content) + len(topic.name + topic.type) + 512
-        self._take(4 * size + _CHANNEL + self._new_chunk)
-        if topic.type not in self._schemas:
-            self._schemas[topic.type] = self._mcap.register_schema(
-                topic.type, 'ros2msg', definition.encode()
-            )
-        self._channels[topic.name] = self._mcap.register_channel(
-            topic.name,
-            'cdr',
-            self._schemas[topic.type],
-            {PROFILES_KEY: content, 'topic_type_hash': topic.type_hash},
-        )
-        self._chunk += size
-        self.information.topics[topic.name] = replace(topic, message_count=0)
-
-    def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        size = len(data) + _MESSAGE
-        if size > LARGEST_MESSAGE:
-            most = LARGEST_MESSAGE - _MESSAGE
-            raise ValueError(f'a message must have at most {most} bytes, got {len(data)}')
-        for time in (log_time_ns, publish_time_ns):
-            if not 0 <= time <= LAST_TIME_NS:
-                raise ValueError(f'times must be 0 to {LAST_TIME_NS} ns, got {time}')
-        self._take(size + self._new_chunk)
-        self._mcap.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
-        self._chunk += size
-        self.information.count(topic, log_time_ns)
-        if self._chunk >= CHUNK_SIZE:
-            self.flush()
-
-    def flush(self) -> None:
-        """Hand everything to the operating system. Raises OSError."""
-        self._broken = True
-        self._mcap.flush()
-        self._stream.flush()
-        self._broken = False
-        self._written, self._chunk = self._stream.tell(), 0
-
-    def write_metadata(self, text: str) -> None:
-        """Put the bag's metadata, as YAML, into the file at once. Raises OSError."""
-        self._take(3 * (len(text.encode()) + 512))  # now, when it is completed, and beside it
-        self._broken = True
-        self._mcap.add_metadata(RECORD_NAME, {RECORD_KEY: text})
-        self.flush()
-
-    def finish(self, metadata: str) -> None:
-        """Complete the file with the bag's metadata and close it. A second call does nothing.
-
-        Raises OSError when the file had to be left as it was.
-        """
-        if self._stream.closed:
-            return
-        if self._broken:
-            self._stream.raw.close()  # without what it still holds
-            raise OSError(f'{self._path} could not be completed')
-        with self._stream:
-            self._mcap.add_metadata(RECORD_NAME, {RECORD_KEY: metadata})
-            self._mcap.finish()
-            self._written, self._chunk = self._stream.truncate(), 0
-
-    @property
-    def _new_chunk(self) -> int:
-        """What a chunk takes besides its records, if the next record begins one."""
-        return 0 if self._chunk else _CHUNK + len(self._channels) * _CHANNEL
-
-    def _take(self, more: int) -> None:
-        """Make sure that `more` bytes can be written and the file completed. Raises OSError."""
-        if self._final + more > self._reserved:
-            room = self._final + more + RESERVE - self._reserved
-            os.posix_fallocate(self._stream.fileno(), self._reserved, room)
-            self._reserved += room
-        self._final += more
+        return bag_map(self._files, self._custom_data)
