@@ -310,6 +310,7 @@ class _File:
         if self._stream.closed:
             return
         if self._broken:
+            self._size = self._stream.raw.tell()
             self._stream.raw.close()  # without what it still holds
             raise OSError(f'{self._path} could not be completed')
         with self._stream:
