@@ -244,6 +244,7 @@ class _File:
         try:
             self._take(_END)
             self._mcap.start(profile='ros2', library='herding_ros')
+            self._written = self._stream.tell()
         except OSError:
             self._stream.close()
             path.unlink()
@@ -252,7 +253,7 @@ class _File:
     @property
     def size(self) -> int:
         """Size of the file [byte]; until it is finished, without what completes it."""
-        return self._size if self._stream.closed else self._stream.tell() + self._chunk
+        return self._written + self._chunk
 
     def add_topic(self, topic: TopicInformation, definition: str) -> None:
         content = to_yaml([dict(profile) for profile in topic.qos_profiles])
@@ -293,7 +294,7 @@ class _File:
         self._mcap.flush()
         self._stream.flush()
         self._broken = False
-        self._chunk = 0
+        self._written, self._chunk = self._stream.tell(), 0
 
     def write_metadata(self, text: str) -> None:
         """Put the bag's metadata, as YAML, into the file at once. Raises OSError."""
@@ -310,13 +311,12 @@ class _File:
         if self._stream.closed:
             return
         if self._broken:
-            self._size = self._stream.raw.tell()
             self._stream.raw.close()  # without what it still holds
             raise OSError(f'{self._path} could not be completed')
         with self._stream:
             self._mcap.add_metadata(RECORD_NAME, {RECORD_KEY: metadata})
             self._mcap.finish()
-            self._size = self._stream.truncate()
+            self._written, self._chunk = self._stream.truncate(), 0
 
     @property
     def _new_chunk(self) -> int:

@@ -27,8 +27,9 @@ Policy = Callable[[HerdState, float], Array]
 class ClosedLoopRun:
     """The true course of a run of T control periods.
 
-    t: (T+1,) [s]; x: (T+1, N, 2) [m]; d: (T+1, M, 2) [m]; u: (T, M, 2) [m/s]; home: index of
-    the first instant at which the flock had arrived, or None; reports: of the planner's solves.
+    t: (T+1,) [s]; x: (T+1, N, 2) [m]; d: (T+1, M, S) states of the dogs, the position [m] first;
+    u: (T, M, 2) [m/s]; home: index of the first instant at which the flock had arrived, or None;
+    reports: of the planner's solves.
     """
 
     t: Array
@@ -71,13 +72,13 @@ def play(
     All policies see the same observations of the same flock under the same noise.
     """
     world = simulation.world
-    t, x, d, u = [0.0], [simulation.state.x], [simulation.state.dogs], []
+    t, x, d, u = [0.0], [simulation.state.x], [simulation.state.d], []
     home = 0 if simulation.arrived else None
     while not (stop and home is not None) and t[-1] < time_limit - 0.5 * world.control_period:
         simulation.advance(policy(simulation.observe().state, t[-1]))
         t.append(simulation.nanoseconds * 1e-9)
         x.append(simulation.state.x)
-        d.append(simulation.state.dogs)
+        d.append(simulation.state.d)
         u.append(simulation.dog_velocities)
         if home is None and simulation.arrived:
             home = len(u)

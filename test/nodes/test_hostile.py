@@ -406,11 +406,11 @@ def test_controller_in_real_time(start: Callable[..., Any], peer: Any) -> None:
     end = last_good + 3_300_000_000
 
     def later(heard: list[TwistStamped]) -> list[TwistStamped]:
-        return [command for command in heard if messages.nanoseconds(command.header.stamp) > end]
+        return [message for message in heard if messages.nanoseconds(message.header.stamp) > end]
 
+    storm.wait_until(lambda: all(len(later(heard)) > 10 for heard in commands))
     for heard in commands:
-        storm.wait_until(lambda heard=heard: len(later(heard)) > 10)  # type: ignore[misc]
-        assert not any(speed(command) for command in later(heard))
+        assert not any(speed(message) for message in later(heard))
     assert storm.memory() - memory < MEMORY
     storm.check_log()
     assert process.end() == 0
