@@ -355,7 +355,9 @@ def test_files_by_size(
     latched = peer.node.create_publisher(String, '/latched', LATCHED)
     latched.publish(String(data='early'))
     counter = count()
-    peer.spin_until(lambda: counter.count > 2500)
+    peer.spin_until(lambda: peer.node.count_subscribers(NUMBERS))
+    seen = counter.count
+    peer.spin_until(lambda: counter.count > seen + 2000)
     counter.end()
     process.ends_in_time(signal.SIGINT)
     numbers = numbers_in(bag)

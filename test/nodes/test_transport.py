@@ -13,6 +13,10 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 FOLDER = Path('/dev/shm')
 HALF_MADE = bytes(52_400)
+CONTROLLER = {
+    'dogs': 1, 'use_sim_time': True, 'horizon__length': 4.0, 'horizon__accepted': 2.0,
+    'lead': 1.5, 'mapping__paths': 20,
+}  # fmt: skip
 
 
 def shared_ports(pid: int) -> set[str]:
@@ -26,8 +30,8 @@ def test_nodes_have_no_lock_in_common(
 ) -> None:
     """Who is killed while holding the lock of a port stops all that send to it for 1 s."""
     recorder = start('recorder', bag=tmp_path / 'bag', topics='["/plan"]')
-    sim = start('sim', sheep=3, dogs=1, real_time_factor=10.0)
-    controller = start('controller', dogs=1, use_sim_time=True)
+    sim = start('sim', sheep=3, dogs=1, real_time_factor=3.0)
+    controller = start('controller', **CONTROLLER)
     recorder.wait_for('recording into')
     bag = tmp_path / 'bag' / 'bag_0.mcap'
     wait_until(lambda: b'dog_1' in bag.read_bytes())  # all have heard each other
@@ -42,8 +46,8 @@ def test_strangers_are_spoken_with_as_they_want_to_be(
     with monkeypatch.context() as without:
         without.delenv('FASTRTPS_DEFAULT_PROFILES_FILE')
         stranger = start('stranger', program=Path(__file__).with_name('stranger.py'))
-    start('sim', sheep=3, dogs=1, real_time_factor=10.0)
-    controller = start('controller', dogs=1, use_sim_time=True)
+    start('sim', sheep=3, dogs=1, real_time_factor=3.0)
+    controller = start('controller', **CONTROLLER)
     stranger.wait_for('heard a plan')
     assert shared_ports(controller.process.pid) != set()
 
@@ -70,10 +74,10 @@ def test_half_made_ports_stop_nobody(half_made: list[Path], start: Callable[...,
 
 def test_who_comes_after_another_hears_all(start: Callable[..., Any], peer: Any) -> None:
     """The next node gets the ports of the one that has gone, which the sim still knows."""
-    start('sim', sheep=3, dogs=1, real_time_factor=10.0).wait_for('herding 3 sheep')
+    start('sim', sheep=3, dogs=1, real_time_factor=3.0).wait_for('herding 3 sheep')
     plans = peer.listen(MultiDOFJointTrajectory, '/plan')
     for _ in range(2):
         plans.clear()
-        controller = start('controller', dogs=1, use_sim_time=True)
+        controller = start('controller', **CONTROLLER)
         peer.spin_until(lambda: len(plans) > 1)
         controller.end(signal.SIGKILL)
