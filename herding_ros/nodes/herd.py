@@ -19,8 +19,8 @@ from rich.console import Console
 from herding_ros.control.lead import lead_at
 from herding_ros.model.scenario import GOAL
 
+from .middleware import start_ros
 from .progress import ProgressLine, Watcher
-from .running import start_ros
 from .signals import note_signals
 from .supervision import Child
 

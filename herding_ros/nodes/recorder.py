@@ -32,11 +32,11 @@ from ..bag.writer import BagWriter
 from . import command_line
 from .herding_node import HerdingNode
 from .log_clock import LogClock
+from .middleware import start_ros
 from .parameter_query import ParameterQuery
 from .publishing import CLOCK
 from .recorded_topics import NewTopic, RecordedTopics
 from .refusals import Refused
-from .running import start_ros
 from .signals import ignore_signals
 from .tap import Received
 

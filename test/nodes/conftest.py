@@ -20,10 +20,8 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-from herding_ros.nodes.running import use_our_profiles
+from herding_ros.nodes.middleware import start_ros
 
-# The test's own node, too, sends at once again what got lost, and shares no lock with others.
-use_our_profiles()
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 
 LIMIT = 60.0
@@ -197,7 +195,8 @@ class Peer:
 
     def __init__(self, domain: int) -> None:
         self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain)
+        # It, too, sends at once again what got lost, and shares no lock with others.
+        start_ros(context=self._context, domain_id=domain)
         self.node = rclpy.create_node('peer', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)

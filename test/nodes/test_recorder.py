@@ -32,6 +32,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
 
 from herding_ros import __version__
+from herding_ros.nodes.middleware import start_ros
 
 LIMIT = 30.0
 """No condition is waited for any longer [s]."""
@@ -105,7 +106,7 @@ class Recording:
 def other_node(domain: int, name: str = 'other') -> Iterator[Node]:
     """A node with a participant of its own."""
     context = Context()
-    rclpy.init(context=context, domain_id=domain)
+    start_ros(context=context, domain_id=domain)
     node = Node(name, context=context)
     yield node
     node.destroy_node()
