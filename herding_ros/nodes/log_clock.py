@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from ..bag.part import LAST_TIME_NS
+from ..bag.writer import LAST_TIME_NS
 from .refusals import Refused
 from .wire import Reader
 
