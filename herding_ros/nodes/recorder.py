@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 import json
 from pathlib import Path
-import signal
 import sys
 import threading
 import time
@@ -37,7 +36,7 @@ from .parameter_query import ParameterQuery
 from .publishing import CLOCK
 from .recorded_topics import NewTopic, RecordedTopics
 from .refusals import Refused
-from .signals import ignore_signals
+from .signals import ignore_signals, note_signals
 from .tap import Received
 
 TAKE_PERIOD = 0.02
@@ -74,9 +73,9 @@ class Recorder(HerdingNode):
             self._declare(
                 'bag',
                 time.strftime('bag_%Y_%m_%d-%H_%M_%S'),
-                'Folder of the bag, created at start; it must not exist.',
+                'Folder of the bag, created at start; it must not exist. ~ is your home.',
             )
-        )
+        ).expanduser()
         topics = self._declare(
             'topics', [''], 'Full names of the topics to record; none, or an empty one: all.'
         )
@@ -280,15 +279,12 @@ def main(args: list[str] | None = None) -> int:
         'recorder --ros-args -p bag:=my_bag -p use_sim_time:=true',
         args,
     )
-    # An exception raised by a signal could break a message in two, so there is none: the
-    # handler only asks to stop.
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    # An exception raised by a signal could break a message in two, so there is none.
+    stop = note_signals()
     try:
         start_ros(args)
         recorder = Recorder()
-    except (ParameterException, rclpy_implementation.RCLError) as error:
+    except (ParameterException, RuntimeError, rclpy_implementation.RCLError) as error:
         print(f'cannot start: {error}', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
