@@ -108,6 +108,10 @@ class Reader:
         at = self._pass(length)
         return memoryview(self._data)[at : self._at]
 
+    def flag(self) -> bool:
+        """Return a boolean."""
+        return self._data[self._pass(1)] != 0
+
     def doubles(self, count: int, wanted: int) -> tuple[float, ...]:
         """Return the first `wanted` of the `count` doubles that the message ends with."""
         at = self._at + -(self._at - len(_ENCODING)) % 8
