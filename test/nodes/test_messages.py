@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import array
 from collections.abc import Callable
+from dataclasses import replace
 import math
 import struct
 import tracemalloc
@@ -32,6 +33,7 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import get_typestore, Stores
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
@@ -39,6 +41,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from herding_ros.control.plan import Plan
 from herding_ros.nodes import messages
 from herding_ros.nodes.refusals import Refusals, Refused
+from herding_ros.nodes.wire import serialized
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MOST = 1000
@@ -196,6 +199,42 @@ def points_with(at: int, number: bytes) -> bytes:
     points = deserialize_message(cloud_with(), PointCloud2).data
     points[at : at + len(number)] = array.array('B', number)
     return cloud_with(data=points)
+
+
+def test_what_is_sent_has_zeros_between_its_fields() -> None:
+    """The bytes are those of rosbags, which writes the message that rclpy has written."""
+    plan = Plan(4.0, 0.4, np.ones((3, 2, 2)))
+    for length in range(8):
+        frame = 'map_of_a'[:length]
+        sent = [
+            messages.path(np.ones((length, 2)), 0.5, 7, frame),
+            messages.marker_array(np.ones((length, 2)), np.ones((2, 2)), np.ones(2), 7, frame),
+            messages.diagnostics(frame, 7, b'\2', frame, {frame: 1.5, 'a': 'ü'}),
+            messages.twist(np.ones(2), 0.3),
+            Clock(clock=messages.stamp_of(7)),
+            PointCloud2(fields=[PointField(name=frame)], data=array.array('B', b'12345')),
+            Odometry(header=Header(frame_id=frame), child_frame_id='dog'),
+        ]
+        for message in sent:
+            data = serialized(message)
+            assert data == as_rosbags_writes_it(serialize_message(message), type(message))
+            assert deserialize_message(data, type(message)) == message
+        x, names = np.ones((length, 2)), ('a', 'b')[: max(length % 3, 1)]
+        data = messages.cloud(x, x, 7, frame)
+        assert data == as_rosbags_writes_it(data, PointCloud2)
+        routes = np.ones((3, len(names), 2))
+        data = messages.trajectory(replace(plan, u=routes), routes, names, 7, frame)
+        assert data == as_rosbags_writes_it(data, MultiDOFJointTrajectory)
+        data = messages.odometry(np.ones(2), np.ones(2), 10**length, 7, frame)
+        assert data == as_rosbags_writes_it(data, Odometry)
+        data = messages.command(np.ones(2), 0.1, 10**length, 7)
+        assert data == as_rosbags_writes_it(data, TwistStamped)
+
+
+def as_rosbags_writes_it(data: bytes, kind: Any) -> bytes:
+    """The message in data once more, with zeros between the fields."""
+    name = f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
+    return bytes(STORE.serialize_cdr(STORE.deserialize_cdr(data, name), name))
 
 
 def number(value: float) -> bytes:
