@@ -33,7 +33,7 @@ from .herding_node import HerdingNode
 from .log_clock import LogClock
 from .middleware import start_ros
 from .parameter_query import ParameterQuery
-from .publishing import CLOCK
+from .publishing import CLOCK, CountingPublisher
 from .recorded_topics import NewTopic, RecordedTopics
 from .refusals import Refused
 from .signals import ignore_signals, note_signals
@@ -97,7 +97,9 @@ class Recorder(HerdingNode):
         self._lost = 0
         self._paused = False
         self._failure = ''  # why nothing is written any more
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, '/diagnostics', 10, publisher_class=CountingPublisher
+        )
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/resume', self._on_resume)
 
