@@ -51,7 +51,8 @@ _PATH_SPACING = 0.5
 _STATE_PERIOD = 1.0
 """Wall time between two messages on /diagnostics about the node itself [s]."""
 
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Room for what a slow subscriber has not received yet; a late one gets all that is in it."""
 
 
 @dataclass(frozen=True)
