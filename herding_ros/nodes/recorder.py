@@ -57,6 +57,9 @@ With `TAKE_PERIOD` before it and a round in which it falls due, a kill costs les
 CLOCK_PATIENCE = 5.0
 """Time after which a clock that has not come is missed [s]."""
 
+SHARED = ('/diagnostics', '/rosout', '/parameter_events')
+"""Topics that nodes of all namespaces share, besides the clock; each message names its node."""
+
 LAST_MESSAGES = 0.05
 """Time in which messages published before the end arrive [s]."""
 
@@ -86,7 +89,10 @@ class Recorder(HerdingNode):
             )
         ).expanduser()
         topics = self._declare(
-            'topics', [''], 'Full names of the topics to record; none, or an empty one: all.'
+            'topics',
+            [''],
+            'Full names of the topics to record; none, or an empty one: all of '
+            "the node's namespace, and what ROS shares between namespaces.",
         )
         self.max_size = self._declare(
             'max_bag_size', 0, 'Size after which the bag goes on in another file; 0: never. [byte]'
@@ -97,6 +103,8 @@ class Recorder(HerdingNode):
             'Time after which the bag goes on in another file; 0: never. [s]',
         )
         self._chosen = {topic for topic in topics if topic}
+        self._clock_topic = self.resolve_topic_name(CLOCK)
+        self._shared = {self.resolve_topic_name(topic) for topic in (CLOCK, *SHARED)}
         self._topics = RecordedTopics(self, self._is_wanted, self._add_topic)
         self._queries: dict[str, ParameterQuery] = {}
         self._parameters_of: dict[str, dict[str, Any]] = {}
@@ -193,8 +201,9 @@ class Recorder(HerdingNode):
     def _search_graph(self) -> None:
         self._topics.discover()
         present = {
-            f'{namespace.rstrip("/")}/{name}'
+            full_name
             for name, namespace in self.get_node_names_and_namespaces()
+            if self._is_within(full_name := f'{namespace.rstrip("/")}/{name}')
         }
         for full_name in present - self._parameters_of.keys() - self._queries.keys():
             self._queries[full_name] = ParameterQuery(self, full_name)
@@ -209,8 +218,13 @@ class Recorder(HerdingNode):
 
     def _is_wanted(self, topic: str) -> bool:
         # In a simulation the log times are the clock's, so it is wanted in any case.
-        is_clock = topic == CLOCK and self._in_simulation
-        return not self._chosen or topic in self._chosen or is_clock
+        if self._chosen:
+            return topic in self._chosen or (topic == self._clock_topic and self._in_simulation)
+        return self._is_within(topic) or topic in self._shared
+
+    def _is_within(self, name: str) -> bool:
+        """Whether a topic or node is in this node's namespace, or in one below it."""
+        return name.startswith(f'{self.get_namespace().rstrip("/")}/')
 
     @property
     def _in_simulation(self) -> bool:
@@ -254,7 +268,7 @@ class Recorder(HerdingNode):
     def _write_in_time(self, received: list[Received]) -> None:
         in_simulation = self._in_simulation
         for message in received:
-            if in_simulation and message.topic == CLOCK:
+            if in_simulation and message.topic == self._clock_topic:
                 self._follow_clock(message)
             if not self._paused:
                 self._write_message(message)
@@ -272,7 +286,7 @@ class Recorder(HerdingNode):
         try:
             self._log_clock.follow(message.data)
         except Refused as error:
-            self._refused.add(CLOCK, error)  # as a clock: it is recorded
+            self._refused.add(self._clock_topic, error)  # as a clock: it is recorded
             return
         if is_first and self.bag.message_count:
             log_ns = self._log_clock.log_time(message.receive_ns)
@@ -297,7 +311,7 @@ class Recorder(HerdingNode):
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if self._lost or self._failure else level,
-            name='recorder: bag',
+            name=self.status_name('bag'),
             message=self._state + (f', {self._lost} messages lost' if self._lost else ''),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
@@ -308,7 +322,7 @@ class Recorder(HerdingNode):
 
 _IN_HELP = [
     ('bag', 'bag_<time>', 'folder of the bag, which must not exist'),
-    ('topics', '[]', 'full names of the topics to record; none: all'),
+    ('topics', '[]', 'full names of the topics to record; none: all of the namespace'),
     ('max_bag_size', '0 byte', 'size after which the bag goes on in another file; 0: never'),
     ('max_bag_duration', '0 s', 'time after which the bag goes on in another file; 0: never'),
 ]

@@ -12,7 +12,6 @@ import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.task import Future
 
 from .herding_node import HerdingNode
 from .middleware import start_ros
@@ -28,7 +27,7 @@ class CannotGoOnError(Exception):
 
 
 def run(make_node: Callable[[], HerdingNode], args: list[str] | None = None) -> int:
-    """Spin a node until SIGINT or SIGTERM, and let its last messages arrive.
+    """Spin a node until SIGINT, SIGTERM or its own end, and let its last messages arrive.
 
     Returns the exit code: 0; 2 when the node cannot start (ValueError) or go on
     (CannotGoOnError), with the reason printed; 1 after any other exception, with its traceback.
@@ -48,14 +47,13 @@ def _run(make_node: Callable[[], HerdingNode], args: list[str] | None) -> int:
         print(f'cannot start: {error}', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
-    ended = Future()
 
     def end() -> None:
         node.stop()
-        ended.set_result(None)
+        node.ended.set_result(None)
 
     signals.call(end)
-    code = _spin(node, ended)
+    code = _spin(node)
     flush(node)
     node.destroy_node()
     rclpy.shutdown()
@@ -63,11 +61,11 @@ def _run(make_node: Callable[[], HerdingNode], args: list[str] | None) -> int:
     return code
 
 
-def _spin(node: HerdingNode, ended: Future) -> int:
+def _spin(node: HerdingNode) -> int:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        while not ended.done():  # spin_until_future_complete keeps something of every turn
+        while not node.ended.done():  # spin_until_future_complete keeps something of every turn
             executor.spin_once(timeout_sec=_TURN)
     except CannotGoOnError as reason:
         node.get_logger().fatal(f'ending: {reason}')
