@@ -37,12 +37,12 @@ setup(
     zip_safe=False,
     entry_points={
         'console_scripts': [
-            'controller = herding_ros.nodes.controller:main',
+            'controller = herding_ros.nodes.programs:controller',
             'herd = herding_ros.nodes.herd:main',
-            'recorder = herding_ros.nodes.recorder:main',
+            'recorder = herding_ros.nodes.programs:recorder',
             'recover = herding_ros.bag.cli:main',
             'report = herding_ros.report.cli:main',
-            'sim = herding_ros.nodes.sim:main',
+            'sim = herding_ros.nodes.programs:sim',
             'study = herding_ros.studies.cli:main',
         ],
     },

@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from itertools import takewhile
 import sys
 from typing import NoReturn
-
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.utilities import remove_ros_args
 
 from herding_ros.model.parameters import Parameters
 
@@ -45,11 +43,18 @@ def read(
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     given = sys.argv[1:] if args is None else args
+    parser.parse_known_args([*takewhile('--ros-args'.__ne__, given)])  # for help, without ROS
+    parser.parse_args(_without_ros_args(given, parser.error))
+
+
+def _without_ros_args(given: list[str], refuse: Callable[[str], NoReturn]) -> list[str]:
+    from rclpy.impl.implementation_singleton import rclpy_implementation as rclpy  # not for help
+    from rclpy.utilities import remove_ros_args
+
     try:
-        others = remove_ros_args(given)
-    except (_rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError) as error:
-        parser.error(f'bad ROS arguments: {error}')
-    parser.parse_args(others)
+        return list(remove_ros_args(given))
+    except (rclpy.RCLInvalidROSArgsError, rclpy.UnknownROSArgsError) as error:
+        refuse(f'bad ROS arguments: {error}')
 
 
 class _Parser(argparse.ArgumentParser):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import json
-from pathlib import Path
 import signal
 import sys
 import threading
@@ -18,7 +17,6 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
 import rclpy
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.exceptions import ParameterException
@@ -29,14 +27,16 @@ from std_srvs.srv import Trigger
 from .. import __version__
 from ..bag.metadata import advice
 from ..bag.writer import BagWriter
-from . import command_line
+from . import programs
 from .herding_node import HerdingNode
 from .log_clock import LogClock, rewritten
 from .parameter_query import ParameterQuery
+from .parameters import declare
 from .publishing import CLOCK, EVERY_MESSAGE
 from .recorded_topics import NewTopic, RecordedTopics
 from .refusals import Refused
 from .running import start_ros
+from .settings import RecorderSettings
 from .signals import ignore_signals
 from .tap import Received
 
@@ -79,25 +79,9 @@ class Recorder(HerdingNode):
 
     def __init__(self) -> None:
         super().__init__('recorder')
-        self.bag_path = Path(
-            self._declare(
-                'bag',
-                time.strftime('bag_%Y_%m_%d-%H_%M_%S'),
-                'Folder of the bag, created at start; it must not exist.',
-            )
-        )
-        topics = self._declare(
-            'topics', [''], 'Full names of the topics to record; none, or an empty one: all.'
-        )
-        self.max_size = self._declare(
-            'max_bag_size', 0, 'Size after which the bag goes on in another file; 0: never. [byte]'
-        )
-        self.max_duration = self._declare(
-            'max_bag_duration',
-            0,
-            'Time after which the bag goes on in another file; 0: never. [s]',
-        )
-        self._chosen = {topic for topic in topics if topic}
+        settings = RecorderSettings(bag=time.strftime('bag_%Y_%m_%d-%H_%M_%S'))
+        self._settings = declare(self, settings)
+        self._chosen = {topic for topic in self._settings.topics if topic}
         self._topics = RecordedTopics(self, self._is_wanted, self._add_topic)
         self._queries: dict[str, ParameterQuery] = {}
         self._parameters_of: dict[str, dict[str, Any]] = {}
@@ -113,19 +97,14 @@ class Recorder(HerdingNode):
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/resume', self._on_resume)
 
-    def _declare(self, name: str, default: Any, description: str) -> Any:
-        descriptor = ParameterDescriptor(description=description, read_only=True)
-        if isinstance(default, int):
-            descriptor.integer_range = [IntegerRange(from_value=0, to_value=2**63 - 1)]
-        return self.declare_parameter(name, default, descriptor).value
-
     def create_bag(self) -> None:
         """Create the bag; raises what `BagWriter` raises."""
         self.bag = self._create_bag()
 
     def _create_bag(self) -> BagWriter:
-        max_duration_ns = self.max_duration * 1_000_000_000
-        return BagWriter(self.bag_path, self._custom_data(), self.max_size, max_duration_ns)
+        settings = self._settings
+        max_duration_ns = settings.max_bag_duration * 1_000_000_000
+        return BagWriter(settings.bag, self._custom_data(), settings.max_bag_size, max_duration_ns)
 
     def record(self, stop: threading.Event) -> bool:
         """Record into the bag until stop is set, and close it.
@@ -305,28 +284,12 @@ class Recorder(HerdingNode):
         self._diagnostics.publish(message)
 
 
-_IN_HELP = [
-    ('bag', 'bag_<time>', 'folder of the bag, which must not exist'),
-    ('topics', '[]', 'full names of the topics to record; none: all'),
-    ('max_bag_size', '0 byte', 'size after which the bag goes on in another file; 0: never'),
-    ('max_bag_duration', '0 s', 'time after which the bag goes on in another file; 0: never'),
-]
-
-
 def main(args: list[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM, or print help.
+    """Run the node until SIGINT or SIGTERM.
 
     Returns 0, 2 when the node cannot start or the bag not be created, 1 when the bag could be
     written no more.
     """
-    command_line.read(
-        'recorder',
-        'Records every topic, as it is on the wire, into a rosbag2 bag (mcap).',
-        'publishes: /diagnostics\nsubscribes to: all topics\nservices: ~/pause, ~/resume',
-        _IN_HELP,
-        'recorder --ros-args -p bag:=my_bag -p use_sim_time:=true',
-        args,
-    )
     # An exception raised by a signal could break a message in two, so there is none: the
     # handler only asks to stop.
     stop = threading.Event()
@@ -335,7 +298,7 @@ def main(args: list[str] | None = None) -> int:
     try:
         start_ros(args)
         recorder = Recorder()
-    except (ParameterException, rclpy_implementation.RCLError) as error:
+    except (ValueError, ParameterException, rclpy_implementation.RCLError) as error:
         print(f'cannot start: {error}', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
@@ -369,4 +332,4 @@ def _record(recorder: Recorder, stop: threading.Event) -> int:
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    sys.exit(programs.recorder())

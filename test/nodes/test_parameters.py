@@ -33,11 +33,14 @@ from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import messages
-from herding_ros.nodes.controller import ControllerSettings
 from herding_ros.nodes.herding_node import HerdingNode
-from herding_ros.nodes.parameters import declare
-from herding_ros.nodes.settings import ControlPreset, declare_crowd
-from herding_ros.nodes.sim import SimSettings
+from herding_ros.nodes.parameters import declare, declare_crowd
+from herding_ros.nodes.settings import (
+    ControllerSettings,
+    ControlPreset,
+    RecorderSettings,
+    SimSettings,
+)
 
 Field = dataclasses.Field[Any]
 
@@ -55,7 +58,7 @@ FIELDS: dict[str, dict[str, Field]] = {
         **fields(Control()),
         **fields(ControllerSettings()),
     },
-    'recorder': {},
+    'recorder': fields(RecorderSettings()),
 }
 NOISE = {name for name in CROWD if name.startswith(('crowd.noise', 'crowd.common_noise'))}
 LIVE = {
