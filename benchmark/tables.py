@@ -148,7 +148,7 @@ def direct_forces(results: Results) -> str:
     return table(
         {
             'N': entry['sheep'],
-            'wanted': f'{entry["accuracy"]:g}',
+            'accuracy': f'{entry["accuracy"]:g}',
             'error': f'{entry["error"]:.1e}',
             **_mesh(entry),
             'ours [ms]': median(entry['seconds'], 1e-3),

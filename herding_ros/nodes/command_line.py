@@ -11,6 +11,8 @@ from typing import NoReturn
 
 from herding_ros.model.parameters import Parameters
 
+from .signals import END_WITH_STDIN, end_with_stdin
+
 Row = tuple[str, str, str]
 """Name, default with its unit, and meaning of a parameter."""
 
@@ -35,16 +37,22 @@ def read(
     """
     parser = _Parser(
         prog=node,
-        usage=f'{node} [-h] [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]',
+        usage=f'{node} [-h] [{END_WITH_STDIN}] '
+        '[--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]',
         description=description,
         epilog=f'{topics}\n\nsome parameters (`ros2 param describe /{node}` has all):\n'
         + _table(parameters)
         + f'\n\nexample:\n  {example}',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument(
+        END_WITH_STDIN, action='store_true',
+        help='end when the standard input ends, and so with a parent that holds a pipe to it',
+    )  # fmt: skip
     given = sys.argv[1:] if args is None else args
     parser.parse_known_args([*takewhile('--ros-args'.__ne__, given)])  # for help, without ROS
-    parser.parse_args(_without_ros_args(given, parser.error))
+    if parser.parse_args(_without_ros_args(given, parser.error)).end_with_stdin:
+        end_with_stdin()
 
 
 def _without_ros_args(given: list[str], refuse: Callable[[str], NoReturn]) -> list[str]:

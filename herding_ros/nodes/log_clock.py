@@ -10,8 +10,7 @@ from tempfile import mkdtemp
 
 from mcap.reader import make_reader
 
-from ..bag.part import LAST_TIME_NS
-from ..bag.writer import BagWriter
+from ..bag.writer import BagWriter, LAST_TIME_NS
 from .recorded_topics import NewTopic
 from .refusals import Refused
 from .wire import Reader

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import json
-import signal
+from pathlib import Path
 import sys
-import threading
 import time
 from typing import Any
 
@@ -30,14 +29,14 @@ from ..bag.writer import BagWriter
 from . import programs
 from .herding_node import HerdingNode
 from .log_clock import LogClock, rewritten
+from .middleware import start_ros
 from .parameter_query import ParameterQuery
 from .parameters import declare
-from .publishing import CLOCK, EVERY_MESSAGE
+from .publishing import CLOCK, CountingPublisher, EVERY_MESSAGE
 from .recorded_topics import NewTopic, RecordedTopics
 from .refusals import Refused
-from .running import start_ros
 from .settings import RecorderSettings
-from .signals import ignore_signals
+from .signals import ignore_signals, note_signals, Noted
 from .tap import Received
 
 TAKE_PERIOD = 0.02
@@ -57,6 +56,9 @@ With `TAKE_PERIOD` before it and a round in which it falls due, a kill costs les
 
 CLOCK_PATIENCE = 5.0
 """Time after which a clock that has not come is missed [s]."""
+
+SHARED = ('/diagnostics', '/rosout', '/parameter_events')
+"""Topics that nodes of all namespaces share, besides the clock; each message names its node."""
 
 LAST_MESSAGES = 0.05
 """Time in which messages published before the end arrive [s]."""
@@ -82,6 +84,8 @@ class Recorder(HerdingNode):
         settings = RecorderSettings(bag=time.strftime('bag_%Y_%m_%d-%H_%M_%S'))
         self._settings = declare(self, settings)
         self._chosen = {topic for topic in self._settings.topics if topic}
+        self._clock_topic = self.resolve_topic_name(CLOCK)
+        self._shared = {self.resolve_topic_name(topic) for topic in (CLOCK, *SHARED)}
         self._topics = RecordedTopics(self, self._is_wanted, self._add_topic)
         self._queries: dict[str, ParameterQuery] = {}
         self._parameters_of: dict[str, dict[str, Any]] = {}
@@ -93,7 +97,9 @@ class Recorder(HerdingNode):
         self._is_clock_missed = False
         self._paused = False
         self._failure = ''  # why nothing is written any more
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', EVERY_MESSAGE)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, '/diagnostics', EVERY_MESSAGE, publisher_class=CountingPublisher
+        )
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/resume', self._on_resume)
 
@@ -104,9 +110,14 @@ class Recorder(HerdingNode):
     def _create_bag(self) -> BagWriter:
         settings = self._settings
         max_duration_ns = settings.max_bag_duration * 1_000_000_000
-        return BagWriter(settings.bag, self._custom_data(), settings.max_bag_size, max_duration_ns)
+        return BagWriter(
+            Path(settings.bag).expanduser(),
+            self._custom_data(),
+            settings.max_bag_size,
+            max_duration_ns,
+        )
 
-    def record(self, stop: threading.Event) -> bool:
+    def record(self, stop: Noted) -> bool:
         """Record into the bag until stop is set, and close it.
 
         Returns whether all could be written.
@@ -171,8 +182,9 @@ class Recorder(HerdingNode):
     def _search_graph(self) -> None:
         self._topics.discover()
         present = {
-            f'{namespace.rstrip("/")}/{name}'
+            full_name
             for name, namespace in self.get_node_names_and_namespaces()
+            if self._is_within(full_name := f'{namespace.rstrip("/")}/{name}')
         }
         for full_name in present - self._parameters_of.keys() - self._queries.keys():
             self._queries[full_name] = ParameterQuery(self, full_name)
@@ -187,8 +199,13 @@ class Recorder(HerdingNode):
 
     def _is_wanted(self, topic: str) -> bool:
         # In a simulation the log times are the clock's, so it is wanted in any case.
-        is_clock = topic == CLOCK and self._in_simulation
-        return not self._chosen or topic in self._chosen or is_clock
+        if self._chosen:
+            return topic in self._chosen or (topic == self._clock_topic and self._in_simulation)
+        return self._is_within(topic) or topic in self._shared
+
+    def _is_within(self, name: str) -> bool:
+        """Whether a topic or node is in this node's namespace, or in one below it."""
+        return name.startswith(f'{self.get_namespace().rstrip("/")}/')
 
     @property
     def _in_simulation(self) -> bool:
@@ -232,7 +249,7 @@ class Recorder(HerdingNode):
     def _write_in_time(self, received: list[Received]) -> None:
         in_simulation = self._in_simulation
         for message in received:
-            if in_simulation and message.topic == CLOCK:
+            if in_simulation and message.topic == self._clock_topic:
                 self._follow_clock(message)
             if not self._paused:
                 self._write_message(message)
@@ -250,7 +267,7 @@ class Recorder(HerdingNode):
         try:
             self._log_clock.follow(message.data)
         except Refused as error:
-            self._refused.add(CLOCK, error)  # as a clock: it is recorded
+            self._refused.add(self._clock_topic, error)  # as a clock: it is recorded
             return
         if is_first and self.bag.message_count:
             log_ns = self._log_clock.log_time(message.receive_ns)
@@ -275,7 +292,7 @@ class Recorder(HerdingNode):
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if self._lost or self._failure else level,
-            name='recorder: bag',
+            name=self.status_name('bag'),
             message=self._state + (f', {self._lost} messages lost' if self._lost else ''),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
@@ -290,15 +307,12 @@ def main(args: list[str] | None = None) -> int:
     Returns 0, 2 when the node cannot start or the bag not be created, 1 when the bag could be
     written no more.
     """
-    # An exception raised by a signal could break a message in two, so there is none: the
-    # handler only asks to stop.
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    # An exception raised by a signal could break a message in two, so there is none.
+    stop = note_signals()
     try:
         start_ros(args)
         recorder = Recorder()
-    except (ValueError, ParameterException, rclpy_implementation.RCLError) as error:
+    except (ParameterException, RuntimeError, ValueError, rclpy_implementation.RCLError) as error:
         print(f'cannot start: {error}', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
@@ -310,7 +324,7 @@ def main(args: list[str] | None = None) -> int:
         ignore_signals()
 
 
-def _record(recorder: Recorder, stop: threading.Event) -> int:
+def _record(recorder: Recorder, stop: Noted) -> int:
     """Record into a new bag; returns the exit code."""
     log = recorder.get_logger()
     try:

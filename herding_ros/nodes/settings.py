@@ -23,7 +23,11 @@ class NodeSettings(Parameters):
         'the controller stamps them as the state is stamped',
     )
     stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
-    wait_for: str = quantity('', 'name of a node (a recorder) to wait for until it is subscribed')
+    wait_for: str = quantity(
+        '',
+        'node (a recorder) to wait for until it is subscribed: its name in the same namespace, '
+        'or its full name',
+    )
 
     def __post_init__(self) -> None:
         """Check what goes together."""
@@ -44,6 +48,7 @@ class SimSettings(NodeSettings):
     )
     stop_on_arrival: bool = quantity(False, 'stand still once the flock is home and together')
     time_limit: float = quantity(0.0, 'stand still after this time; 0: never', 's', low=0.0)
+    end_when_finished: bool = quantity(False, 'end the node instead of standing still')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,9 +66,13 @@ class ControllerSettings(NodeSettings, Timing):
 class RecorderSettings(Parameters):
     """What the recorder writes where."""
 
-    bag: str = quantity('bag_<time>', 'folder of the bag, created at start; it must not exist')
+    bag: str = quantity(
+        'bag_<time>', 'folder of the bag, created at start; it must not exist. ~ is your home'
+    )
     topics: tuple[str, ...] = quantity(
-        ('',), 'full names of the topics to record; none, or an empty one: all'
+        ('',),
+        'full names of the topics to record; none, or an empty one: all of the '
+        "node's namespace, and what ROS shares between namespaces",
     )
     max_bag_size: int = quantity(
         0, 'size after which the bag goes on in another file; 0: never', 'byte', low=0

@@ -23,10 +23,7 @@ _AGENTS = (1, 2, 3, 4, 5)
 _LEADERS: dict[str, dict[str, Any]] = {
     'dogs': {'crowd': 'cohesive', 'settings': {}},
     'guides': {'crowd': 'guided', 'settings': {}},
-    'guides, reference.speed 0.05': {
-        'crowd': 'guided',
-        'settings': {'reference': {'speed': 0.05}},
-    },
+    'guides, reference.speed 0.05': {'crowd': 'guided', 'settings': {'reference.speed': 0.05}},
 }
 """The crowd's preset, and differences from the default controller."""
 _COLOURS = dict(zip(_LEADERS, (RED, COLOURS[2], BLUE), strict=True))

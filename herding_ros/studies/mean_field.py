@@ -86,17 +86,14 @@ def tasks(options: Options) -> list[Task]:
 
 
 def _control(markers: int, options: Options) -> dict[str, Any]:
-    settings: dict[str, Any] = {
-        'mapping': {
-            'paths': options.path_number(_PATHS),
-            'max_iterations': 1 if options.quick else _ITERATIONS,
-            'tolerance': 1e-4,
-        },
-        'coarse': {'markers': markers},
+    settings = {
+        'mapping.paths': options.path_number(_PATHS),
+        'mapping.max_iterations': 1 if options.quick else _ITERATIONS,
+        'mapping.tolerance': 1e-4,
+        'coarse.markers': markers,
     }
-    if options.quick:
-        settings['horizon'] = {'length': 2.0, 'accepted': 1.0}
-    return settings
+    short = {'horizon.length': 2.0, 'horizon.accepted': 1.0}
+    return {**settings, **short} if options.quick else settings
 
 
 def draw(results: Results, figures: Path) -> Section:
@@ -158,7 +155,7 @@ def _errors(results: Results, sheep: int, *path: str) -> list[float]:
 
 def _mapped(results: Results, sigma: float, markers: int) -> Results:
     windows = results.of('mean_field_mapping', sigma=sigma)
-    return windows.where(lambda task: task.parameters['control']['coarse']['markers'] == markers)
+    return windows.where(lambda task: task.parameters['control']['coarse.markers'] == markers)
 
 
 def _rate(results: Results, *path: str) -> float | None:

@@ -13,17 +13,20 @@ from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Fraction, Mean, Median, significant
 
-from .experiments.settings import differences
 from .study import Options, Results, Row
 from .task import Task
 
-PLAIN: dict[str, Any] = {'mapping': {'estimator': 'plain', 'standard_error': 0.0}}
-"""Settings of a mapping that sees the mean of plain paths, as the paper's does."""
 
-SETTINGS: dict[str, dict[str, Any]] = {
-    'default': {},
-    'paper': differences(PAPER, Control()),
-}
+def settings_of(control: Control) -> dict[str, Any]:
+    """Return the parameters by dotted names in which a controller is not the default one."""
+    usual = Control().flat()
+    return {name: value for name, value in control.flat().items() if value != usual[name]}
+
+
+PLAIN: dict[str, Any] = {'mapping.estimator': 'plain', 'mapping.standard_error': 0.0}
+"""Settings of a mapping that uses the mean of plain paths, as the paper's does."""
+
+SETTINGS: dict[str, dict[str, Any]] = {'default': {}, 'paper': settings_of(PAPER)}
 """Settings of the controller by name, as differences from its defaults."""
 
 NAMES = {'default': 'our default', 'paper': "the paper's setting"}
@@ -51,11 +54,6 @@ def run_task(options: Options, cost: float, **parameters: Any) -> Task:
     if parameters.get('policy', 'planner') == 'planner':
         usual['paths'] = options.path_number(100)
     return Task('herding', {**usual, **parameters}, cost)
-
-
-def with_mapping(settings: dict[str, Any], **changes: Any) -> dict[str, Any]:
-    """Return settings with other parameters of the mapping."""
-    return {**settings, 'mapping': {**settings.get('mapping', {}), **changes}}
 
 
 def point(goal: Iterable[float]) -> str:

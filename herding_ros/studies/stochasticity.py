@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from herding_ros.control.parameters import Control, Mapping, PAPER
+from herding_ros.control.parameters import Mapping, PAPER
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Mean, significant
 from herding_ros.report.style import COLOURS, legend, new, save
 
 from .direct_comparison import comparison, cost_shares, draw_costs, Pair, SENSITIVITY, shares
-from .experiments.settings import differences
+from .runs import settings_of
 from .study import grid, Options, Results, Row, Section
 from .task import Task
 
@@ -47,8 +47,7 @@ _MAPPINGS = {
 All see plain paths as the paper's does, except the last.
 """
 _CONTROLS = {
-    name: differences(replace(PAPER, mapping=mapping), Control())
-    for name, mapping in _MAPPINGS.items()
+    name: settings_of(replace(PAPER, mapping=mapping)) for name, mapping in _MAPPINGS.items()
 }
 _WORDS = {
     'output': 'output mapping, 4 iterations',
@@ -208,14 +207,14 @@ def _draw_centres(mapped: Results, figures: Path) -> None:
     traces = {task.parameters['sigma']: result['trace'] for task, result in traced.entries}
     for (where, away), key in zip(axes, ('before', 'after'), strict=True):
         for colour, (sigma, trace) in zip(COLOURS, traces.items(), strict=False):
-            found, wanted = np.array(trace[key]), np.array(trace['wanted'])
+            found, target = np.array(trace[key]), np.array(trace['target'])
             where.plot(*found.T, color=colour)
-            deviation = 1e3 * np.linalg.norm(found - wanted, axis=1)
+            deviation = 1e3 * np.linalg.norm(found - target, axis=1)
             away.plot(0.5 * np.arange(len(found)), deviation, color=colour, label=f'σ = {sigma:g}')
         for trace in list(traces.values())[:1]:
-            wanted = np.array(trace['wanted'])
-            where.plot(*wanted.T, color='black', linestyle='--', linewidth=0.8)
-            where.plot(*wanted[0], 'x', color='black')
+            target = np.array(trace['target'])
+            where.plot(*target.T, color='black', linestyle='--', linewidth=0.8)
+            where.plot(*target[0], 'x', color='black')
         legend(away)
         where.set(xlabel='x [m]', ylabel='y [m]')
         where.set_aspect('equal', adjustable='datalim')
@@ -309,8 +308,8 @@ def _goals(results: Results) -> list[Goal]:
         slope = _growth({s: before[s].value for s in SIGMAS})
         paper = _growth(_PAPER_BEFORE[1000])
         what = 'Error before mapping: exponent p of its growth σ^p'
-        wanted = f"about 2 (the paper's: {paper:.2f})"
-        goals.append(Goal(what, wanted, f'{slope:.2f}', abs(slope - paper) <= 0.3))
+        about = f"about 2 (the paper's: {paper:.2f})"
+        goals.append(Goal(what, about, f'{slope:.2f}', abs(slope - paper) <= 0.3))
     return goals
 
 

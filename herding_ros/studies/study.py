@@ -54,9 +54,9 @@ class Results:
             )
         )
 
-    def where(self, wanted: Callable[[Task], bool]) -> Results:
+    def where(self, condition: Callable[[Task], bool]) -> Results:
         """Return those whose task satisfies a condition."""
-        return Results([(task, result) for task, result in self.entries if wanted(task)])
+        return Results([(task, result) for task, result in self.entries if condition(task)])
 
     def by_seed(self) -> dict[int, Result]:
         """Return the results by the seeds of their tasks."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from herding_ros.control.closed_loop import as_policy, play, Policy
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import Control, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.crowd import CROWDS
@@ -21,7 +21,6 @@ from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 
 from .measures import course, measures, plans, snapshots_at
-from .settings import changed, with_paths
 from .strombom import Strombom
 
 _QUANTITIES = {'position': 'x', 'velocity': 'v', 'dog': 'd'}
@@ -54,7 +53,7 @@ class Watched:
         self._policy = policy
         self._pilot = pilot
         self._simulation = simulation
-        self._squares: dict[str, list[list[float]]] = {'seen': [], 'believed': []}
+        self._squares: dict[str, list[list[float]]] = {'observed': [], 'estimated': []}
 
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the velocities (M, 2) [m/s] of the controller."""
@@ -62,7 +61,7 @@ class Watched:
         estimate = self._pilot.estimate
         assert estimate is not None
         truth = self._simulation.state
-        for name, state in (('seen', observed), ('believed', estimate.state)):
+        for name, state in (('observed', observed), ('estimated', estimate.state)):
             self._squares[name].append(
                 [
                     float(np.square(getattr(state, a) - getattr(truth, a)).mean())
@@ -74,7 +73,7 @@ class Watched:
     def errors(self) -> dict[str, dict[str, float]]:
         """Return root mean squares per coordinate, over the whole run.
 
-        Under 'seen' and 'believed': position and dog [m], velocity [m/s]; zero without any
+        Under 'observed' and 'estimated': position and dog [m], velocity [m/s]; zero without any
         observation.
         """
         return {
@@ -97,7 +96,7 @@ def run(
     goal: list[float],
     seed: int,
     time_limit: float,
-    paths: int | None = None,
+    paths: int = Mapping.paths,
     noise: float | None = None,
     crowd: str = 'cohesive',
     common_noise: float = 0.0,
@@ -107,8 +106,9 @@ def run(
 ) -> dict[str, Any]:
     """Herd a flock by a policy and return the run in numbers.
 
-    policy: 'planner' (settings: differences from Control(), apart from the number of Monte Carlo
-    paths), 'strombom' (settings: those of Strombom) or 'none', a dog that no sheep notices.
+    policy: 'planner' (settings: differences from Control() by dotted names; paths: its number of
+    Monte Carlo paths), 'strombom' (settings: those of Strombom) or 'none', a dog that no sheep
+    notices.
     noise: of all observations [m and m/s], by default that of World; crowd: name of a preset;
     stop: end with the arrival; every: spacing of the stored course [s]; snapshots: instants [s].
     The flock and its random forces depend on the seed alone.
@@ -121,7 +121,7 @@ def run(
     reports: list[SolveReport] = []
     decide: Policy
     if policy == 'planner':
-        control = with_paths(changed(Control(), settings), paths)
+        control = Control().with_values({'mapping.paths': paths, **settings})
         pilot = LockstepPilot(RecedingHorizon(herd, control, destination, seed), dogs)
         decide = as_policy(pilot, reports)
     elif policy == 'strombom':
