@@ -213,7 +213,7 @@ def written(value: Any) -> str:
     return str(value).lower()
 
 
-@sim_and_controller
+@every_node
 def test_wrong_values_are_refused_at_the_start(domain: int, name: str) -> None:
     """All of them, in this process: what a node does with the reason is tested with the node."""
     for parameter, field in FIELDS[name].items():
@@ -232,11 +232,14 @@ def test_wrong_values_are_refused_at_the_start(domain: int, name: str) -> None:
 
 
 def declare_all(node: HerdingNode) -> None:
-    declare_crowd(node)
-    kinds: list[Parameters] = [World(), SimSettings()]
-    if node.get_name() == 'controller':
-        kinds = [ControllerSettings(), ControlPreset(), Control()]
-    for kind in kinds:
+    kinds: dict[str, list[Parameters]] = {
+        'sim': [World(), SimSettings()],
+        'controller': [ControllerSettings(), ControlPreset(), Control()],
+        'recorder': [RecorderSettings()],
+    }
+    if node.get_name() != 'recorder':
+        declare_crowd(node)
+    for kind in kinds[node.get_name()]:
         declare(node, kind)
 
 
