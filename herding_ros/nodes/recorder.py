@@ -64,7 +64,6 @@ LAST_MESSAGES = 0.05
 """Time in which messages published before the end arrive [s]."""
 
 
-_NO_CLOCK = 'use_sim_time is true, but nothing has come on /clock'
 _UNTIL_CLOCK = (
     'log times are wall time until then; start what publishes it, or set use_sim_time to false'
 )
@@ -177,7 +176,7 @@ class Recorder(HerdingNode):
         if self._failure:
             return f'stopped: {self._failure}'
         state = 'paused' if self._paused else 'recording'
-        return f'{state}, {_NO_CLOCK}' if self._lacks_clock else state
+        return f'{state}, {self._without_clock}' if self._lacks_clock else state
 
     def _search_graph(self) -> None:
         self._topics.discover()
@@ -217,6 +216,10 @@ class Recorder(HerdingNode):
         """Whether the simulation's clock should have come by now."""
         late = time.monotonic() > self._begun + CLOCK_PATIENCE
         return late and self._in_simulation and not self._log_clock.is_known
+
+    @property
+    def _without_clock(self) -> str:
+        return f'use_sim_time is true, but nothing has come on {self._clock_topic}'
 
     def _keep_custom_data(self) -> None:
         self._attempt(lambda: self.bag.set_custom_data(self._custom_data()))
@@ -287,7 +290,7 @@ class Recorder(HerdingNode):
         }
         if self._lacks_clock and not self._is_clock_missed:
             self._is_clock_missed = True
-            self.get_logger().warning(f'{_NO_CLOCK}: {_UNTIL_CLOCK}')
+            self.get_logger().warning(f'{self._without_clock}: {_UNTIL_CLOCK}')
         good = not (self._refused.counts or self._lacks_clock)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         status = DiagnosticStatus(
