@@ -44,8 +44,9 @@ def register(
     of a force with a potential, f = -grad W, that is the Hessian of W times w. Numba compiles
     both.
     """
-    # Numba's cache would not notice that they have changed, but it does notice a new type.
-    key = f'{name} {_digest(force_of, product_of)}'
+    # Numba's cache would not notice that they have changed, but it does notice a new type. What it
+    # has stored refers to their module by name, and cannot be loaded where that is another one.
+    key = f'{force_of.__module__}.{name} {_digest(force_of, product_of)}'
     compiled_force, compiled_product = inlined(force_of), inlined(product_of)
 
     @overload(_force, jit_options=_COMPILED)

@@ -27,7 +27,7 @@ from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
-from . import messages, programs
+from . import command_line, messages
 from .duplicates import sole_publisher
 from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
@@ -241,9 +241,10 @@ _LOG = {
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node."""
+    """Run the node, or print help."""
+    command_line.read('controller', args)
     return run(Controller, args)
 
 
 if __name__ == '__main__':
-    sys.exit(programs.controller())
+    sys.exit(main())

@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from .. import __version__
 from ..bag.metadata import advice
 from ..bag.writer import BagWriter
-from . import programs
+from . import command_line
 from .herding_node import HerdingNode
 from .log_clock import LogClock, rewritten
 from .middleware import start_ros
@@ -305,11 +305,12 @@ class Recorder(HerdingNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM.
+    """Run the node until SIGINT or SIGTERM, or print help.
 
     Returns 0, 2 when the node cannot start or the bag not be created, 1 when the bag could be
     written no more.
     """
+    command_line.read('recorder', args)
     # An exception raised by a signal could break a message in two, so there is none.
     stop = note_signals()
     try:
@@ -349,4 +350,4 @@ def _record(recorder: Recorder, stop: Noted) -> int:
 
 
 if __name__ == '__main__':
-    sys.exit(programs.recorder())
+    sys.exit(main())

@@ -24,7 +24,7 @@ from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up_rollout
 
-from . import messages, programs
+from . import command_line, messages
 from .dog_commands import DogCommands
 from .duplicates import ANOTHER_CLOCK, sole_publisher
 from .herding_node import HerdingNode
@@ -220,9 +220,10 @@ class Sim(HerdingNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node."""
+    """Run the node, or print help."""
+    command_line.read('sim', args)
     return run(Sim, args)
 
 
 if __name__ == '__main__':
-    sys.exit(programs.sim())
+    sys.exit(main())

@@ -7,14 +7,13 @@ that imports and kernels are there when `main` begins.
 
 from __future__ import annotations
 
+from importlib import import_module
 from multiprocessing import forkserver, get_context
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
-
-from herding_ros.nodes import programs
 
 NODES = ('controller', 'recorder', 'sim')
 """Names of the nodes that can be started so."""
@@ -77,4 +76,4 @@ def _run(name: str, arguments: list[str], env: dict[str, str], log: Path) -> Non
         sys.exit('the server that forks nodes could not load them; import preloaded.py by hand')
     sys.argv[:] = [name, *arguments]
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.exit(getattr(programs, name)())
+    sys.exit(import_module(f'herding_ros.nodes.{name}').main())
