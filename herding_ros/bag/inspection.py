@@ -64,7 +64,7 @@ _RATIO = 100
 _WORK = 100_000
 """With a quarter of the size of a file, the records that its chunks may have.
 
-Such of topics count once more for every 16 bytes. A message takes more than 4 bytes, however well
+Such of topics count once more for every 8 bytes. A message takes more than 4 bytes, however well
 it is compressed, since its times are in an index.
 """
 
@@ -131,7 +131,7 @@ def records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
                     data = _decompressed(record.content)
                     for each in _split(BytesIO(data), _IN_CHUNKS):  # all before one is taken
                         is_message = each.opcode == Opcode.MESSAGE
-                        work += 1 if is_message else 1 + (each.end - each.start) // 16
+                        work += 1 if is_message else 1 + (each.end - each.start) // 8
                         if work > _WORK + end // 4:
                             raise ValueError('it has too many records for its size')
                 except ValueError as error:
@@ -265,12 +265,13 @@ def inspect(path: Path, opening: Open = open_file) -> Inspection:
         # One that begins with zeros was reserved by a recorder that was killed.
         if not MCAP0_MAGIC.startswith(stream.read(len(MCAP0_MAGIC)).rstrip(b'\0')):
             raise ValueError(f'{path} is not an mcap file')
+        most_topics = 1000 + stream.seek(0, 2) // 1000
         for record in records(stream, found.faults):
             tally.add(record)
             content = record.content
             if isinstance(content, Schema):
                 found.schemas.setdefault(content.id, content)
-            elif isinstance(content, Channel):
+            elif isinstance(content, Channel) and len(found.channels) < most_topics:
                 found.channels.setdefault(content.id, content)
             elif isinstance(content, Metadata) and content.name == RECORD_NAME:
                 found.metadata = content.metadata.get(RECORD_KEY, '')
@@ -278,6 +279,8 @@ def inspect(path: Path, opening: Open = open_file) -> Inspection:
                 found.compression = content.compression
             elif isinstance(content, Header):
                 found.profile = content.profile
+    if len(found.channels) == most_topics:
+        found.faults.append(f'it must have fewer than {most_topics} topics')
     if not found.faults and not tally.is_described:
         found.faults.append('its index is not that of its data')
     _add_topics(found, tally)
