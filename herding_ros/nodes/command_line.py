@@ -13,6 +13,8 @@ from rclpy.utilities import remove_ros_args
 
 from herding_ros.model.parameters import Parameters
 
+from .signals import END_WITH_STDIN, end_with_stdin
+
 Row = tuple[str, str, str]
 """Name, default with its unit, and meaning of a parameter."""
 
@@ -37,7 +39,8 @@ def read(
     """
     parser = _Parser(
         prog=node,
-        usage=f'{node} [-h] [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]',
+        usage=f'{node} [-h] [{END_WITH_STDIN}] '
+        '[--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]',
         description=description,
         epilog=f'{topics}\n\nsome parameters (`ros2 param describe /{node}` has all):\n'
         + _table(parameters)
@@ -49,7 +52,12 @@ def read(
         others = remove_ros_args(given)
     except (_rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError) as error:
         parser.error(f'bad ROS arguments: {error}')
-    parser.parse_args(others)
+    parser.add_argument(
+        END_WITH_STDIN, action='store_true',
+        help='end when the standard input ends, and so with a parent that holds a pipe to it',
+    )  # fmt: skip
+    if parser.parse_args(others).end_with_stdin:
+        end_with_stdin()
 
 
 class _Parser(argparse.ArgumentParser):

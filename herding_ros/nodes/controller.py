@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import Control, OutOfStepError
 from herding_ros.control.pilot import Announcement, Decision, dog_name
 from herding_ros.control.real_time_pilot import RealTimePilot, Timing
 from herding_ros.control.receding_horizon import RecedingHorizon
@@ -36,7 +36,15 @@ from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
 from .observations import Observations
 from .parameters import declare
-from .publishing import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, UNWATCHED
+from .publishing import (
+    ADJUSTABLE,
+    CountingPublisher,
+    EVERY_MESSAGE,
+    full_node_name,
+    is_heard,
+    node_of,
+    UNWATCHED,
+)
 from .running import CannotGoOnError, run
 from .settings import declare_control, declare_crowd, NodeSettings
 
@@ -51,7 +59,8 @@ _PATH_SPACING = 0.5
 _STATE_PERIOD = 1.0
 """Wall time between two messages on /diagnostics about the node itself [s]."""
 
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Room for what a slow subscriber has not received yet; a late one gets all that is in it."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +85,6 @@ class Controller(HerdingNode):
         control = declare_control(self)
         self._control = control
         self._control_period = control.horizon.control_period
-        self._first_stamp: int | None = None
-        self._is_period_checked = False
         planner = RecedingHorizon(crowd, control, np.array(settings.goal), settings.seed)
         self._pilot: LockstepPilot | RealTimePilot
         if settings.lockstep:
@@ -114,11 +121,12 @@ class Controller(HerdingNode):
     def _subscribe_when_heard(self) -> None:
         """Subscribe to observations only once the subscribers of the replies are matched."""
         settings = self._settings
+        recorder = full_node_name(self, settings.wait_for)
         if settings.lockstep and not all(
             any(
-                is_heard(self, [commands], listener.node_name)
+                is_heard(self, [commands], node_of(listener))
                 for listener in self.get_subscriptions_info_by_topic(commands.topic_name)
-                if listener.node_name != settings.wait_for
+                if node_of(listener) != recorder
             )
             for commands in self._commands
         ):
@@ -148,20 +156,11 @@ class Controller(HerdingNode):
         for _ in self._observations.arrivals(LOCKSTEP_TURN):
             observed = self._observations.complete()
             if observed is not None:
-                self._check_period(observed.stamp)
-                self._carry_out(self._pilot.decide(observed), observed.stamp)
-
-    def _check_period(self, stamp: int) -> None:
-        """Compare the first two observations: in lockstep a command holds until the next one."""
-        elapsed = (stamp - self._first_stamp) * 1e-9 if self._first_stamp is not None else 0.0
-        self._first_stamp = stamp if self._first_stamp is None else self._first_stamp
-        if elapsed > 0.0 and not self._is_period_checked:
-            self._is_period_checked = True
-            if abs(elapsed / self._control_period - 1.0) > 1e-6:
-                raise CannotGoOnError(
-                    'horizon.control_period must be the dt * substeps of the sim in lockstep, '
-                    f'{elapsed:g} s, got {self._control_period:g} s'
-                )
+                try:
+                    decision = self._pilot.decide(observed)
+                except OutOfStepError as error:
+                    raise CannotGoOnError(str(error)) from error
+                self._carry_out(decision, observed.stamp)
 
     def _keep_time(self) -> None:
         """Give the command for the present control period."""
@@ -232,7 +231,7 @@ class Controller(HerdingNode):
         }
         level = DiagnosticStatus.OK if margin >= 0.0 else DiagnosticStatus.WARN
         self._diagnostics.publish(
-            messages.diagnostics('controller: plan', ns, level, report.status.value, values)
+            messages.diagnostics(self.status_name('plan'), ns, level, report.status.value, values)
         )
 
     def _publish_state(self) -> None:
@@ -248,7 +247,7 @@ class Controller(HerdingNode):
         good = condition.good and not (pilot.plans_failed or self._refused.counts)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         self._diagnostics.publish(
-            messages.diagnostics('controller: state', now, level, condition.doing, values)
+            messages.diagnostics(self.status_name('state'), now, level, condition.doing, values)
         )
 
 

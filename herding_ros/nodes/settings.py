@@ -31,7 +31,11 @@ class NodeSettings(Parameters):
         'the controller stamps them as the state is stamped',
     )
     stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
-    wait_for: str = quantity('', 'name of a node (a recorder) to wait for until it is subscribed')
+    wait_for: str = quantity(
+        '',
+        'node (a recorder) to wait for until it is subscribed: its name in the same namespace, '
+        'or its full name',
+    )
 
     def __post_init__(self) -> None:
         """Check what goes together."""

@@ -12,6 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import PointCloud2
@@ -27,11 +28,18 @@ from herding_ros.model.warmup import warm_up_rollout
 
 from . import command_line, messages
 from .dog_commands import DogCommands
-from .duplicates import sole_publisher
+from .duplicates import ANOTHER_CLOCK, sole_publisher
 from .herding_node import HerdingNode
 from .pacing import Lockstep, Pace, RealTime
 from .parameters import declare
-from .publishing import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, UNWATCHED
+from .publishing import (
+    ADJUSTABLE,
+    CLOCK,
+    CountingPublisher,
+    EVERY_MESSAGE,
+    is_heard,
+    UNWATCHED,
+)
 from .running import run
 from .settings import declare_crowd, NodeSettings
 from .simulated_run import SimulatedRun
@@ -59,6 +67,7 @@ class SimSettings(NodeSettings):
     )
     stop_on_arrival: bool = quantity(False, 'stand still once the flock is home and together')
     time_limit: float = quantity(0.0, 'stand still after this time; 0: never', 's', low=0.0)
+    end_when_finished: bool = quantity(False, 'end the node instead of standing still')
 
 
 class Sim(HerdingNode):
@@ -66,7 +75,8 @@ class Sim(HerdingNode):
 
     def __init__(self) -> None:
         """Declare parameters, load the kernels, then wait for subscribers."""
-        super().__init__('sim')
+        # It makes the time, and has no use for it; one file may tell all nodes to use it.
+        super().__init__('sim', parameter_overrides=[Parameter('use_sim_time', value=False)])
         self._settings = settings = declare(self, SimSettings())
         crowd = declare_crowd(self)
         world = declare(self, World())
@@ -98,10 +108,12 @@ class Sim(HerdingNode):
         self._true_sheep = sole_publisher(
             self, 'truth/sheep', lambda: publish(PointCloud2, 'truth/sheep')
         )
+        self._tick = sole_publisher(
+            self, CLOCK, lambda: publish(ClockMessage, CLOCK), ANOTHER_CLOCK
+        )
         self._sheep = publish(PointCloud2, 'sheep')
         self._dogs = [publish(Odometry, f'dog_{m}/odom') for m in numbers]
         self._true_dogs = [publish(Odometry, f'truth/dog_{m}/odom') for m in numbers]
-        self._tick = publish(ClockMessage, '/clock')
         self._markers = publish(MarkerArray, 'markers')
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
 
@@ -172,6 +184,8 @@ class Sim(HerdingNode):
         self._publish_state()
         if self._run.finished:
             self._publish_diagnostics()
+            if self._settings.end_when_finished:
+                self.ended.set_result(None)
 
     def _publish_state(self) -> None:
         simulation, frame = self._run.simulation, self._settings.frame
@@ -211,7 +225,9 @@ class Sim(HerdingNode):
         good = not (self._refused.counts or skipped)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         self._diagnostics.publish(
-            messages.diagnostics('sim: herd', simulation.nanoseconds, level, self._doing, values)
+            messages.diagnostics(
+                self.status_name('herd'), simulation.nanoseconds, level, self._doing, values
+            )
         )
 
     @property

@@ -35,6 +35,7 @@ from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import messages
 from herding_ros.nodes.controller import ControllerSettings
 from herding_ros.nodes.herding_node import HerdingNode
+from herding_ros.nodes.middleware import start_ros
 from herding_ros.nodes.parameters import declare
 from herding_ros.nodes.settings import ControlPreset, declare_crowd
 from herding_ros.nodes.sim import SimSettings
@@ -217,7 +218,7 @@ def test_wrong_values_are_refused_at_the_start(domain: int, name: str) -> None:
             if isinstance(value, list) and len({type(each) for each in value}) > 1:
                 continue
             given = ['--ros-args', '-p', f'{parameter}:={written(value)}']
-            rclpy.init(args=given, domain_id=domain)
+            start_ros(given, domain_id=domain)
             node = HerdingNode(name)
             try:
                 with pytest.raises(ValueError, match=refusal_of(parameter, value)):

@@ -494,7 +494,7 @@ def test_storm_of_signals_at_any_time(start: Callable[..., Any], tmp_path: Path)
     """From the moment the program has taken over the signals until it is gone."""
     generator = random.Random(0)
     for trial in range(3):
-        process = start('recorder', bag=tmp_path / f'{trial}')
+        process = start('recorder', afresh=True, bag=tmp_path / f'{trial}')
         pid = process.process.pid
         while not takes_signals(pid):
             time.sleep(0.005)
@@ -542,7 +542,7 @@ def test_topics_of_broken_packages_are_left_out(
     monkeypatch.setenv('PYTHONPATH', str(tmp_path / 'broken'), prepend=':')
     peer.node.create_publisher(Marker, '/marker', 10)
     peer.node.create_publisher(JointTrajectory, '/joints', 10)
-    process = start('recorder', bag=tmp_path / 'bag')
+    process = start('recorder', afresh=True, bag=tmp_path / 'bag')
     process.wait_for('/marker is not recorded: broken on import')
     process.wait_for('/joints is not recorded')
     diagnostics = peer.listen(DiagnosticArray, '/diagnostics')

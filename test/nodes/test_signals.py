@@ -34,7 +34,7 @@ def test_while_kernels_are_compiled(
     number: int,
 ) -> None:
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'empty'))
-    process = start(name, **SMALL[name])
+    process = start(name, afresh=True, **SMALL[name])
     process.wait_for('loading kernels')
     time.sleep(0.5)  # they take many seconds
     assert 'kernels loaded' not in process.log
