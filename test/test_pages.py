@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-import dataclasses
 import importlib
 from pathlib import Path
 import re
@@ -41,19 +40,19 @@ HEAD: Row = ('name', 'default', 'unit', 'allowed', 'meaning')
 def rows(
     defaults: Parameters, prefix: str = '', others: dict[str, Any] | None = None
 ) -> Iterator[Row]:
-    """Yield a row for each field; a default that differs in one of `others` is named as well."""
-    for field in dataclasses.fields(defaults):
-        value = getattr(defaults, field.name)
-        there = {name: getattr(other, field.name) for name, other in (others or {}).items()}
-        if isinstance(value, Parameters):
-            yield from rows(value, f'{prefix}{field.name}.', there)
-            continue
+    """Yield a row for each value; a default that differs in one of `others` is named as well."""
+    there = {key: other.flat(prefix) for key, other in (others or {}).items()}
+    for name, value, field in defaults.walk(prefix):
         default = written(value)
-        different = [f'`{name}`: {written(each)}' for name, each in there.items() if each != value]
+        different = [
+            f'`{key}`: {written(values[name])}'
+            for key, values in there.items()
+            if values[name] != value
+        ]
         if different:
             default += f' ({", ".join(different)})'
         unit = field.metadata['unit']
-        yield prefix + field.name, default, unit, describe_limits(field), field.metadata['doc']
+        yield name, default, unit, describe_limits(field), field.metadata['doc']
 
 
 def crowd_rows() -> Iterator[Row]:

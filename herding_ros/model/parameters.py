@@ -111,8 +111,8 @@ def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
     if converted is not None and _within(converted, field):
         return converted
     right_kind = type(converted) in (int, float) and math.isfinite(converted)
-    wanted = _bounds(field) if right_kind else describe_limits(field)
-    raise ValueError(f'{name} must be {wanted}, got {value!r}')
+    must_be = _bounds(field) if right_kind else describe_limits(field)
+    raise ValueError(f'{name} must be {must_be}, got {value!r}')
 
 
 def _convert(value: Any, like: Any) -> Any:

@@ -72,7 +72,7 @@ def tasks(options: Options) -> list[Task]:
             'mean_field_mapping', 0.5 if quick else cost, cases, **window, control=control
         )
     replan = {
-        'flocks': [20, 300] if quick else list(_TIMED),
+        'flocks': [5, 20] if quick else list(_TIMED),
         'dogs': 5,
         'seed': 0,
         'iterations': 2 if quick else 30,
