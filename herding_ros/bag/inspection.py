@@ -320,8 +320,9 @@ def _add_topics(found: Inspection, tally: _Tally) -> None:
         found.information.add_topic(channel.topic, schema.name, profiles, type_hash)
         found.information.counts[channel.topic] += tally.counts[number]
     found.information.message_count = found.information.counts.total()
-    if found.information.message_count:
-        found.information.first_ns, found.information.last_ns = tally.first_ns, tally.last_ns
+    full = [number for number in found.channels if tally.counts[number]]
+    found.information.first_ns = min((tally.first_ns[number] for number in full), default=0)
+    found.information.last_ns = max((tally.last_ns[number] for number in full), default=0)
     if lost := tally.counts.total() - found.information.message_count:
         _note(found.faults, f'it lacks the topics of {lost} messages')
 
@@ -334,8 +335,8 @@ class _Tally:
 
     def __init__(self) -> None:
         self.counts: Counter[int] = Counter()  # messages by channel
-        self.first_ns = 2**64
-        self.last_ns = 0
+        self.first_ns: dict[int, int] = {}  # log times by channel
+        self.last_ns: dict[int, int] = {}
         self.is_described = False
         self._agrees = True
         self._chunk: Record | None = None
@@ -352,11 +353,12 @@ class _Tally:
         """Take the next record of a file."""
         content = record.content
         if isinstance(content, Message):
-            self.counts[content.channel_id] += 1
-            self.first_ns = min(self.first_ns, content.log_time)
-            self.last_ns = max(self.last_ns, content.log_time)
+            channel, time_ns = content.channel_id, content.log_time
+            self.counts[channel] += 1
+            self.first_ns[channel] = min(time_ns, self.first_ns.get(channel, time_ns))
+            self.last_ns[channel] = max(time_ns, self.last_ns.get(channel, time_ns))
             if self._chunk:
-                self._entries[content.channel_id] += _ENTRY.pack(content.log_time, record.start)
+                self._entries[channel] += _ENTRY.pack(time_ns, record.start)
         elif isinstance(content, Schema | Channel):
             topics = self._repeated if self._data_end else self._topics
             topics[record.opcode, content.id] = hash(repr(content))
@@ -408,7 +410,7 @@ class _Tally:
             and (
                 not self.counts
                 or (said.message_start_time, said.message_end_time)
-                == (self.first_ns, self.last_ns)
+                == (min(self.first_ns.values()), max(self.last_ns.values()))
             )
         )
 
