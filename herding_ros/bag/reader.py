@@ -109,7 +109,12 @@ def _read(reader: AnyReader, folder: Path, metadata: dict[str, Any]) -> Recorded
         version=custom_data.get('herding_ros_version', ''),
         wall_s=_wall_seconds(reader, sheep, folder, metadata),
         topics=_topics(reader),
+        messages_lost=_count(custom_data.get('messages_lost', '')),
     )
+
+
+def _count(text: str) -> int | None:
+    return int(text) if re.fullmatch('[0-9]{1,18}', text) else None
 
 
 def _of_each_dog(names: Iterable[str], prefix: str, suffix: str) -> list[str]:

@@ -69,3 +69,5 @@ class RecordedRun:
     version: str
     wall_s: float
     topics: tuple[Topic, ...]
+    messages_lost: int | None = None
+    """How many messages the recorder knew to be lost; None where it has not said."""

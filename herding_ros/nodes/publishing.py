@@ -16,6 +16,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from .topic_qos import asks_more
+from .wire import serialized
 
 CLOCK = '/clock'
 """The topic that publishes the time of a simulation, unless the nodes are told another."""
@@ -34,13 +35,13 @@ _FLUSH_TIME = 1.0
 
 
 class CountingPublisher(Publisher):
-    """A publisher that counts the messages it has published."""
+    """A publisher that counts the messages it has published; equal ones have equal bytes."""
 
     count = 0
 
     def publish(self, msg: Any) -> None:
-        """Publish and count."""
-        super().publish(msg)
+        """Publish a message, or its bytes, and count."""
+        super().publish(msg if isinstance(msg, bytes) else serialized(msg))
         self.count += 1
 
 

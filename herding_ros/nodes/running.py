@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Callable
-import os
-from pathlib import Path
+import gc
 import sys
 import traceback
 
@@ -14,9 +13,9 @@ import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.signals import SignalHandlerOptions
 
 from .herding_node import HerdingNode
+from .middleware import start_ros
 from .publishing import flush
 from .signals import exit_at_once, ignore_signals, Signals
 
@@ -26,21 +25,6 @@ _TURN = 0.2
 
 class CannotGoOnError(Exception):
     """Raised in a callback by a node that cannot go on, with the reason."""
-
-
-def use_our_profiles() -> None:
-    """Let Fast DDS read our settings (fastdds.xml, which says why), unless the user has some.
-
-    Nodes with and without them talk with each other.
-    """
-    settings = str(Path(__file__).with_name('fastdds.xml'))
-    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', settings)
-
-
-def start_ros(args: list[str] | None = None) -> None:
-    """Initialise rclpy; signals are left to the caller."""
-    use_our_profiles()
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
 
 
 def run(make_node: Callable[[], HerdingNode], args: list[str] | None = None) -> int:
@@ -64,6 +48,7 @@ def _run(make_node: Callable[[], HerdingNode], args: list[str] | None) -> int:
         print(f'cannot start: {error}', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
+    gc.freeze()  # a search for garbage in all that has been loaded would take a control period
 
     def end() -> None:
         node.stop()

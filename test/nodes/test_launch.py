@@ -15,7 +15,6 @@ from herding_ros.control.lead import lead_at
 from herding_ros.control.parameters import Control
 from herding_ros.model.simulation import World
 from herding_ros.nodes import launch_plan
-from herding_ros.nodes.controller import ControllerSettings
 from herding_ros.nodes.launch_plan import (
     Argument,
     herd_arguments,
@@ -25,7 +24,7 @@ from herding_ros.nodes.launch_plan import (
     plan_real_dogs,
     real_dogs_arguments,
 )
-from herding_ros.nodes.sim import SimSettings
+from herding_ros.nodes.settings import ControllerSettings, SimSettings
 
 ROOT = Path(__file__).parents[2]
 DECLARED: dict[str, Any] = {

@@ -7,8 +7,8 @@ import math
 
 from herding_ros.nodes.refusals import Refused
 
-LARGEST = 1e6
-"""No coordinate [m] or velocity [m/s] is larger: single precision would not see a sheep move."""
+LARGEST = 1e8
+"""No coordinate [m] or velocity [m/s] is larger, in any projection of the Earth."""
 
 _CLOCKS = 'do all nodes use the same clock (use_sim_time)?'
 
