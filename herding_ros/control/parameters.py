@@ -115,12 +115,12 @@ class OutOfStepError(ValueError):
     """Raised when controller and world cannot be in lockstep."""
 
 
-def check_lockstep(horizon: Horizon, period: float) -> None:
-    """Raise OutOfStepError unless a command lasts as long as the period of the world [s]."""
-    if abs(horizon.control_period / period - 1.0) > 1e-6:
+def check_lockstep(control_period: float, world_period: float) -> None:
+    """Raise OutOfStepError unless a command lasts as long as the world waits for one [s]."""
+    if abs(control_period / world_period - 1.0) > 1e-6:
         raise OutOfStepError(
             'horizon.control_period of the controller must be dt * substeps of the sim in '
-            f'lockstep, {period:g} s, got {horizon.control_period:g} s'
+            f'lockstep, {world_period:g} s, got {control_period:g} s'
         )
 
 

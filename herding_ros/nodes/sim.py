@@ -47,6 +47,9 @@ _PERIODS_PER_MARKER = 5
 _DIAGNOSTICS_PERIOD = 0.5
 """Wall time between two messages on /diagnostics [s]."""
 
+_TIME_TO_BE_ASKED = 2.0
+"""Wall time after a run in which a recorder may still ask for parameters [s]."""
+
 
 class Sim(HerdingNode):
     """A herd behind the topics of real sheep trackers and robots."""
@@ -163,7 +166,11 @@ class Sim(HerdingNode):
         if self._run.finished:
             self._publish_diagnostics()
             if self._settings.end_when_finished:
-                self.ended.set_result(None)
+                self.create_timer(_TIME_TO_BE_ASKED, self._end, clock=self._wall)
+
+    def _end(self) -> None:
+        if self._run.finished:  # still: a moved goal continues the run
+            self.ended.set_result(None)
 
     def _publish_state(self) -> None:
         simulation, frame = self._run.simulation, self._settings.frame
