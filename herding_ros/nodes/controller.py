@@ -27,6 +27,7 @@ from herding_ros.control.real_time_pilot import RealTimePilot, Timing
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.parameters import quantity
+from herding_ros.model.scenario import MOST_DOGS
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
@@ -58,7 +59,7 @@ _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class ControllerSettings(NodeSettings, Timing):
     """How the controller behaves as a ROS node."""
 
-    dogs: int = quantity(5, 'number of dogs', low=1)
+    dogs: int = quantity(5, 'number of dogs', low=1, high=MOST_DOGS)
     most_sheep: int = quantity(
         100_000, 'a message with more sheep than this is refused', low=1, high=1_000_000
     )

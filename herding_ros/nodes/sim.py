@@ -18,6 +18,7 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
+from herding_ros.control.lead import FASTEST, SLOWEST
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import distance, spread
 from herding_ros.model.parameters import quantity, TINY
@@ -52,7 +53,11 @@ class SimSettings(NodeSettings):
     """How the sim behaves as a ROS node."""
 
     real_time_factor: float = quantity(
-        1.0, 'simulated seconds per second when not in lockstep', low=1e-3, high=1e3, live=True
+        1.0,
+        'simulated seconds per second when not in lockstep',
+        low=SLOWEST,
+        high=FASTEST,
+        live=True,
     )
     command_timeout: float = quantity(
         0.5, 'a dog stops when its last command is older than this', 's', low=TINY
@@ -134,6 +139,7 @@ class Sim(HerdingNode):
         self._run.change_crowd(crowd)
         if isinstance(self._pace, RealTime):
             self._pace.set_factor(settings.real_time_factor)
+        self._notice_change()
 
     def _on_goal(self, data: bytes) -> None:
         try:
@@ -168,8 +174,13 @@ class Sim(HerdingNode):
     def _advance(self, u: Array) -> None:
         self._run.advance(u)
         if self._run.finished:
-            self.get_logger().info(self._run.outcome)
-        self._publish_state()
+            log = self.get_logger()
+            if self._run.failed:
+                log.error(f'{self._run.outcome}; change crowd.* or call ~/reset')
+            else:
+                log.info(self._run.outcome)
+        if not self._run.failed:
+            self._publish_state()
         if self._run.finished:
             self._publish_diagnostics()
 
@@ -205,11 +216,13 @@ class Sim(HerdingNode):
             'spread_m': float(spread(simulation.state.x)),
             'arrived': simulation.arrived,
             'finished': self._run.finished,
+            'outcome': self._run.outcome,
             'periods_skipped': skipped,
             **self._refused.report_values(),
         }
         good = not (self._refused.counts or skipped)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
+        level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(
             messages.diagnostics('sim: herd', simulation.nanoseconds, level, self._doing, values)
         )
