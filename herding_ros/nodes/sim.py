@@ -127,6 +127,7 @@ class Sim(HerdingNode):
         self._run.change_crowd(crowd)
         if isinstance(self._pace, RealTime):
             self._pace.set_factor(settings.real_time_factor)
+        self._notice_change()
 
     def _on_goal(self, data: bytes) -> None:
         try:
@@ -161,8 +162,13 @@ class Sim(HerdingNode):
     def _advance(self, u: Array) -> None:
         self._run.advance(u)
         if self._run.finished:
-            self.get_logger().info(self._run.outcome)
-        self._publish_state()
+            log = self.get_logger()
+            if self._run.failed:
+                log.error(f'{self._run.outcome}; change crowd.* or call ~/reset')
+            else:
+                log.info(self._run.outcome)
+        if not self._run.failed:
+            self._publish_state()
         if self._run.finished:
             self._publish_diagnostics()
             if self._settings.end_when_finished:
@@ -204,11 +210,13 @@ class Sim(HerdingNode):
             'spread_m': float(spread(simulation.state.x)),
             'arrived': simulation.arrived,
             'finished': self._run.finished,
+            'outcome': self._run.outcome,
             'periods_skipped': skipped,
             **self._refused.report_values(),
         }
         good = not (self._refused.counts or skipped)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
+        level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(
             messages.diagnostics(
                 self.status_name('herd'), simulation.nanoseconds, level, self._doing, values
