@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 
-LARGEST = 1e6
-"""No coordinate [m] or velocity [m/s] is larger: single precision would not see a sheep move."""
+LARGEST = 1e8
+"""No coordinate [m] or velocity [m/s] is larger, in any projection of the Earth."""
 
 
 class Refused(ValueError):  # noqa: N818, a node goes on

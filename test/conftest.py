@@ -74,11 +74,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 class RunRecorder:
     """Writes what the nodes publish in a run into a bag, made with rosbags' messages."""
 
-    def __init__(self, path: Path, parameters: dict[str, Any] | None = None) -> None:
-        parameters = parameters or {}
-        self.bag = BagWriter(
-            path, {'herding_ros_version': '9.8.7', 'parameters': json.dumps(parameters)}
-        )
+    def __init__(
+        self, path: Path, parameters: dict[str, Any] | None = None, **custom_data: str
+    ) -> None:
+        custom_data['herding_ros_version'] = '9.8.7'
+        custom_data['parameters'] = json.dumps(parameters or {})
+        self.bag = BagWriter(path, custom_data)
         self.log_ns = 0
         self.publish_ns = 1_700_000_000_000_000_000
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -44,6 +45,17 @@ def test_importing_the_package_loads_no_model() -> None:
         [sys.executable, '-c', program], capture_output=True, text=True, check=True
     )
     assert out.stdout.split() == ['False', 'False']
+
+
+def test_compiled_packages_are_kept_in_our_environment() -> None:
+    """Else each start of a program compiles NumPy, SciPy and Numba anew, for 2 s."""
+    told = 'python -c "import sys; print(sys.dont_write_bytecode)"'
+    out = subprocess.run(
+        ['bash', '-c', f'. {ROOT}/scripts/env 2>/dev/null; {told}'],
+        env={**os.environ, 'PYTHONDONTWRITEBYTECODE': '1'},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert out.stdout.split() == ['False']
 
 
 def test_the_version_is_that_of_the_manifest() -> None:

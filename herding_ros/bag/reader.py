@@ -14,6 +14,7 @@ import json
 import math
 import os
 from pathlib import Path
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -102,7 +103,12 @@ def read_run(path: str | os.PathLike[str], namespace: str | None = None) -> Reco
         wall_s=(max(published) - min(published)) * 1e-9,
         topics=topics,
         notes=notes.lines(),
+        messages_lost=_count(custom_data.get('messages_lost', '')),
     )
+
+
+def _count(text: str) -> int | None:
+    return int(text) if re.fullmatch('[0-9]{1,18}', text) else None
 
 
 def _checked_files(folder: Path, metadata: Mapping[str, Any]) -> list[Path]:

@@ -76,6 +76,8 @@ class RecordedRun:
     wall_s: float
     topics: tuple[Topic, ...]
     notes: tuple[str, ...]
+    messages_lost: int | None = None
+    """How many messages the recorder knew to be lost; None where it has not said."""
 
     @property
     def seen(self) -> NDArray[np.bool_]:

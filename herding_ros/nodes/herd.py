@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from contextlib import suppress
+import itertools
 import math
 import os
 from pathlib import Path
 import sys
-import threading
 import time
 
 import rclpy
@@ -19,9 +20,9 @@ from rich.console import Console
 from herding_ros.control.lead import lead_at
 from herding_ros.model.scenario import GOAL
 
+from .middleware import start_ros
 from .progress import ProgressLine, Watcher
-from .running import start_ros
-from .signals import note_signals
+from .signals import note_signals, Noted
 from .supervision import Child
 
 _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED, _INTERRUPTED = 0, 1, 2, 3, 130
@@ -86,6 +87,28 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _new_folder() -> Path:
+    """Make runs/<time>; two runs that begin in the same second have one each."""
+    runs = Path('runs').absolute()
+    runs.mkdir(exist_ok=True)
+    begun = time.strftime('%Y-%m-%d_%H-%M-%S')
+    for ending in itertools.chain([''], map('_{}'.format, itertools.count(2))):
+        with suppress(FileExistsError):
+            (runs / f'{begun}{ending}').mkdir()
+            break
+    return runs / f'{begun}{ending}'
+
+
+def _check_folder(folder: Path) -> None:
+    """Raise ValueError if a run cannot be written into a folder."""
+    if (folder / 'bag').exists():
+        raise ValueError(f'{folder}/bag exists already; give another --out')
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError:  # parameters of ROS nodes are UTF-8
+        raise ValueError(f'--out must be UTF-8, got {os.fsencode(folder)!r}') from None
+
+
 def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     lockstep = options.real_time is None
     shared = {'goal': options.goal, 'lockstep': lockstep, 'wait_for': 'recorder',
@@ -106,9 +129,7 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     ]
 
 
-def _watch(
-    children: list[Child], watcher: Watcher, interrupted: threading.Event, console: Console
-) -> int:
+def _watch(children: list[Child], watcher: Watcher, interrupted: Noted, console: Console) -> int:
     """Show how it goes until it is over; return the exit code."""
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)
@@ -162,15 +183,13 @@ def main(args: list[str] | None = None) -> int:
     """Run the program; see --help for the exit codes."""
     options = _parser().parse_args(args)
     console = Console(highlight=False)
-    options.out = (options.out or Path('runs') / time.strftime('%Y-%m-%d_%H-%M-%S')).absolute()
-    if (options.out / 'bag').exists():
-        console.print(f'{options.out}/bag exists already; give another --out', style='red')
-        return _BAD_ARGUMENTS
-    logs = options.out / 'log'
     try:
+        options.out = options.out.absolute() if options.out else _new_folder()
+        _check_folder(options.out)
+        logs = options.out / 'log'
         logs.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        console.print(f'cannot write into {options.out}: {error}', style='red')
+    except (OSError, ValueError) as error:
+        console.print(f'cannot write the run: {error}', style='red', markup=False, soft_wrap=True)
         return _BAD_ARGUMENTS
 
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')

@@ -1,17 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIGINT and SIGTERM, without exceptions in the middle of something."""
+"""The signals that end a process, without exceptions in the middle of something."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 import os
 import signal
 import sys
 import threading
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
-"""The signals that ask a process to end."""
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""The signals that ask a process to end; the last one says that its terminal was closed."""
+
+END_WITH_STDIN = '--end-with-stdin'
+"""The option of a node that ends when its standard input does, so with its parent."""
+
+
+def handle(handler: Callable[[], None]) -> None:
+    """Call handler at each signal that asks to end; `nohup` still keeps out SIGHUP."""
+    for number in ENDING:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda *_: handler())
+
+
+def end_with_stdin() -> None:
+    """Ask this process to end, as SIGTERM does, when its standard input has ended."""
+
+    def wait() -> None:
+        with suppress(OSError):  # a terminal that is gone
+            while os.read(0, 1024):
+                pass
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 class Signals:
@@ -27,8 +50,7 @@ class Signals:
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
         signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-        for number in ENDING:
-            signal.signal(number, lambda *_: None)
+        handle(lambda: None)
 
         def wait() -> None:
             os.read(reading, 1)
@@ -41,11 +63,29 @@ class Signals:
         self._act = act
 
 
-def note_signals() -> threading.Event:
-    """Return an event that the signals set, and do nothing else."""
-    noted = threading.Event()
-    for number in ENDING:
-        signal.signal(number, lambda *_: noted.set())
+class Noted:
+    """Whether something has happened; unlike an Event it may be set in a signal handler.
+
+    A signal that comes while the handler of another sets an Event waits for a lock that is held by
+    what it interrupts: for ever.
+    """
+
+    def __init__(self) -> None:
+        self._is_set = False
+
+    def set(self) -> None:
+        """Note that it has happened."""
+        self._is_set = True
+
+    def is_set(self) -> bool:
+        """Return whether it has happened."""
+        return self._is_set
+
+
+def note_signals() -> Noted:
+    """Return what the signals set, and do nothing else."""
+    noted = Noted()
+    handle(noted.set)
     return noted
 
 

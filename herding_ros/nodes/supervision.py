@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Node processes: started with parameters, ended in order."""
+"""Node processes: started with parameters, ended in order, and never left behind."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+import json
 from pathlib import Path
 import signal
 import subprocess
 import sys
+
+from .signals import END_WITH_STDIN
 
 _PATIENCE = 20.0
 """Time that a child gets to end by itself [s]."""
@@ -17,16 +20,17 @@ class Child:
     """One node process; its output goes into a log file."""
 
     def __init__(self, name: str, parameters: Mapping[str, object], logs: Path) -> None:
-        """Start the node with the given parameters."""
+        """Start the node with the given parameters: numbers, strings, paths, or lists."""
         self.name = name
         self.log = logs / f'{name}.log'
-        arguments = ['--ros-args']
+        arguments = [END_WITH_STDIN, '--ros-args']
         for key, value in parameters.items():
-            arguments += ['-p', f'{key}:={_yaml(value)}']
-        # A session of its own: Ctrl-C reaches the children through us, in the right order.
+            arguments += ['-p', f'{key}:={written(value)}']
+        # A session of its own: Ctrl-C reaches the children through us, in the right order. If we
+        # are killed, their standard input ends, and they with it.
         self.process = subprocess.Popen(
             [sys.executable, '-m', f'herding_ros.nodes.{name}', *arguments],
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=self.log.open('wb'),
             stderr=subprocess.STDOUT,
             start_new_session=True,
@@ -52,9 +56,6 @@ class Child:
         return '\n'.join(self.log.read_text(errors='replace').splitlines()[-12:])
 
 
-def _yaml(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, (list, tuple)):
-        return '[' + ', '.join(_yaml(float(each)) for each in value) + ']'
-    return repr(value) if isinstance(value, float) else str(value)
+def written(value: object) -> str:
+    """Return a value as rcl reads it after `-p name:=`: JSON, all of which is YAML."""
+    return json.dumps(value, ensure_ascii=False, default=str)

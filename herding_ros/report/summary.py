@@ -48,6 +48,7 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
         'solve_ms_median': float(np.median(solve_ms)) if solve_ms else None,
         'solve_ms_max': max(solve_ms, default=None),
         'messages_recorded': sum(topic.count for topic in run.topics),
+        'messages_lost': run.messages_lost,
         'largest_gap_s': run.largest_gap_s,
         'wall_s': run.wall_s,
         'real_time_factor': float(run.times[-1]) / run.wall_s if run.wall_s > 0.0 else None,

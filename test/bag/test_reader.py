@@ -205,10 +205,10 @@ def test_rows_of_a_cloud_may_be_padded(run_recorder: Any, tmp_path: Path) -> Non
         )  # fmt: skip
     np.testing.assert_array_equal(points(cloud)['x'], [1, 2, 3, 4])
     cloud.data = cloud.data[:20]
-    with pytest.raises(ValueError, match='20 bytes, too few for 2 rows of 12 bytes'):
+    with pytest.raises(ValueError, match=r'2 rows of 12 bytes, .* got 20 bytes'):
         points(cloud)
     field.datatype = 99
-    with pytest.raises(ValueError, match=r"\['x'\] .* no known type"):
+    with pytest.raises(ValueError, match=r"'x' .* datatype from 1 to 8, got 99"):
         points(cloud)
 
 

@@ -26,9 +26,11 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import arrived, spread
 from herding_ros.model.simulation import World
 from herding_ros.nodes import herd
+from herding_ros.nodes.signals import ENDING, note_signals
 
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
 LARGE = 1600
+OF_RCLPY = ('/rosout', '/parameter_events')
 OPTIONS = ['--sheep', '10', '--dogs', '3', '--seed', '2', '--goal', '0.4', '0.2']
 
 
@@ -44,6 +46,19 @@ def read(bag: Path) -> dict[str, list[Any]]:
             t: len(found) for t, found in out.items()
         }
     return out
+
+
+def raw(bag: Path) -> dict[str, list[bytes]]:
+    """The bytes of every message by topic, but for what rclpy itself publishes."""
+    out: dict[str, list[bytes]] = {}
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        for connection, _, data in reader.messages():
+            out.setdefault(connection.topic, []).append(bytes(data))
+            if connection.topic not in OF_RCLPY:
+                message = reader.deserialize(data, connection.msgtype)
+                again = reader.typestore.serialize_cdr(message, connection.msgtype)
+                assert again == data, f'{connection.topic} has memory between its fields'
+    return {topic: found for topic, found in out.items() if topic not in OF_RCLPY}
 
 
 def positions(cloud: Any) -> np.ndarray:
@@ -93,6 +108,15 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
     assert summary['max_spread_m'] == pytest.approx(spread(expected.x).max(), rel=1e-6)
     assert arrived(x[-1].astype(float), np.array(GOAL), float(spread(x[0].astype(float))))
     assert (out / 'trajectories.png').read_bytes().startswith(b'\x89PNG')
+
+    # Other processes with the same seed send the same bytes, but for what they say of wall time.
+    other = tmp_path / 'other'
+    start('herd', *OPTIONS, '--time-limit', '2', '--out', str(other)).wait()
+    long, short = raw(out / 'bag'), raw(other / 'bag')
+    assert long.keys() == short.keys()
+    assert len(short['/truth/sheep']) == 21
+    for topic in short.keys() - {'/diagnostics'}:
+        assert short[topic] == long[topic][: len(short[topic])], topic
 
 
 def test_large_flock_is_herded_as_in_the_loop_without_ros(
@@ -184,19 +208,62 @@ def test_existing_bag_is_not_touched(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / 'bag').iterdir()] == ['precious']
 
 
+def test_runs_that_begin_in_the_same_second_have_a_folder_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(herd.time, 'strftime', lambda _: 'now')
+    out = []
+    monkeypatch.setattr(herd, '_run', lambda options, *_: out.append(options.out) or 0)
+    for _ in range(3):
+        assert herd.main([]) == 0
+    assert [path.relative_to(tmp_path / 'runs').name for path in out] == ['now', 'now_2', 'now_3']
+
+
 def test_interrupt_ends_all_children_and_leaves_a_valid_bag(
     start: Callable[..., Any], tmp_path: Path
 ) -> None:
+    """The interrupt is that of a terminal that is closed."""
     out = tmp_path / 'out'
     process = start('herd', *OPTIONS, '--real-time', '2', '--out', str(out))
     process.wait_for('to go')
     children = psutil.Process(process.process.pid).children()
     assert len(children) == 3
-    assert process.end(signal.SIGTERM) == 130
+    assert process.end(signal.SIGHUP) == 130
     assert psutil.wait_procs(children, timeout=5.0)[1] == []
     messages = read(out / 'bag')
     assert len(messages['/truth/sheep']) > 0
     assert published(out / 'log' / 'sim.log')['/truth/sheep'] == len(messages['/truth/sheep'])
+
+
+def test_killed_herd_leaves_no_child_and_a_valid_bag(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
+    """In a folder whose name means something to YAML."""
+    out = tmp_path / 'run #1: "a", é'
+    process = start('herd', *OPTIONS, '--real-time', '2', '--out', str(out))
+    process.wait_for('to go')
+    children = psutil.Process(process.process.pid).children()
+    assert process.end(signal.SIGKILL) == -signal.SIGKILL
+    assert psutil.wait_procs(children, timeout=5.0)[1] == []
+    assert len(read(out / 'bag')['/truth/sheep']) > 0
+
+
+def test_every_signal_that_asks_to_end_is_noted() -> None:
+    """Except a hang-up that is to be ignored, as below nohup."""
+    before = {number: signal.getsignal(number) for number in ENDING}
+    try:
+        for number in ENDING:
+            noted = note_signals()
+            signal.raise_signal(number)
+            assert noted.is_set()
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        noted = note_signals()
+        signal.raise_signal(signal.SIGHUP)
+        assert not noted.is_set()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def test_dead_child_is_named_with_its_last_words(

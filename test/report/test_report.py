@@ -91,6 +91,7 @@ def test_summary_of_an_arrival(run: RecordedRun) -> None:
     assert summary['solve_ms_median'] == 11.0
     assert summary['solve_ms_max'] == 30.0
     assert summary['messages_recorded'] == 7
+    assert summary['messages_lost'] is None
     assert summary['wall_s'] == 0.25
     assert summary['real_time_factor'] == 8.0
     assert summary['seed'] == 7
@@ -172,9 +173,9 @@ def test_picture_of_a_single_state(run: RecordedRun, tmp_path: Path) -> None:
     summarise(one)
 
 
-def bag_of(run: RecordedRun, path: Path, run_recorder: Any) -> Path:
+def bag_of(run: RecordedRun, path: Path, run_recorder: Any, **custom_data: str) -> Path:
     parameters = {'/controller': {'goal': run.goal.tolist()}, **run.parameters}
-    with run_recorder(path, parameters) as recorder:
+    with run_recorder(path, parameters, **custom_data) as recorder:
         for k, time in enumerate(run.times):
             ns = recorder.log_ns = int(1e9 * time)
             recorder.sheep('/truth/sheep', ns, run.x[k], run.v[k])
@@ -205,6 +206,21 @@ def test_report_of_a_bag(run: RecordedRun, tmp_path: Path, run_recorder: Any) ->
     assert 'sensor_msgs/msg/PointCloud2' in text
     assert 'arrived after 1.5 s' in text
     assert '3 replans' in text
+
+
+@pytest.mark.parametrize(
+    ('said', 'lost', 'printed'),
+    [('12', 12, '12 messages were lost'), ('0', 0, ''), ('many', None, ''), ('-1', None, '')],
+)
+def test_report_says_how_many_messages_were_lost(
+    run: RecordedRun, tmp_path: Path, run_recorder: Any, said: str, lost: int, printed: str
+) -> None:
+    bag = bag_of(run, tmp_path / 'bag', run_recorder, messages_lost=said)
+    console = Console(record=True, width=120, file=StringIO())
+    assert write_report(bag, tmp_path, console)['messages_lost'] == lost
+    text = console.export_text()
+    assert printed in text
+    assert ('lost' in text) == bool(lost)
 
 
 def test_program_writes_beside_the_bag(
