@@ -133,7 +133,7 @@ class Sim(HerdingNode):
         try:
             goal = messages.goal_in(data, self._settings.frame)
         except ValueError as error:
-            self._refused.add('goal_pose', error)
+            self._refused.add_request('goal_pose', error)
             return
         self._run.move_goal(goal)
         self._notice_change()
