@@ -58,6 +58,14 @@ def test_compiled_packages_are_kept_in_our_environment() -> None:
     assert out.stdout.split() == ['False']
 
 
+@pytest.mark.skipif(not (ROOT / 'install').exists(), reason='needs scripts/setup here')
+def test_programs_are_found_in_our_environment() -> None:
+    """Once, however often it is sourced."""
+    script = f'. {ROOT}/scripts/env; . {ROOT}/scripts/env; which -a sim controller report'
+    out = subprocess.run(['bash', '-c', script], capture_output=True, text=True, check=True)
+    assert [Path(line).name for line in out.stdout.split()] == ['sim', 'controller', 'report']
+
+
 def requirements(name: str) -> dict[str, str]:
     """Return what a file of requirements says of each package, without hashes and comments."""
     text = (ROOT / name).read_text(encoding='utf-8').replace('\\\n', ' ')

@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from herding_ros.checks import check_finite, check_frame, check_goal, check_size, Refused
 from herding_ros.model.state import Array
-from herding_ros.nodes.refusals import Refused
 from herding_ros.nodes.wire import Reader
 from herding_ros.point_cloud import points
 
-from .checks import check_finite, check_frame, check_size
 from .stamps import dog_frame, turned
 
 _ODOMETRY_NUMBERS = 7 + 36 + 6 + 36
@@ -208,7 +207,6 @@ def goal_in(data: bytes, frame: str) -> Array:
     """Destination (2,) [m] in a PoseStamped."""
     reader = Reader(data)
     _, given = reader.header()
-    check_frame('goal', given, frame)
     x, y = reader.doubles(7, 2)
-    check_size('goal', x, y)
+    check_goal(given, x, y, frame)
     return np.array([x, y])
