@@ -543,6 +543,30 @@ def test_index_that_lies_is_damage(tmp_path: Path) -> None:
     assert read(tmp_path / 'bag') == messages
 
 
+@pytest.mark.parametrize('kind', [3, 4])
+def test_type_or_topic_after_its_messages_is_damage(tmp_path: Path, kind: int) -> None:
+    messages = some_messages(100)
+    file = tmp_path / 'stock_0.mcap'
+    write_file(file, messages, use_chunking=False)
+    data = file.read_bytes()
+    begin, end = record_at(data, kind)
+    data_end = data.rindex(struct.pack('<BQ', 15, 4))
+    file.write_bytes(data[:begin] + data[end:data_end] + data[begin:end] + data[data_end:])
+    assert inspect(file).faults == ['its index is not that of its data']
+    recover(tmp_path)
+    assert read(tmp_path) == messages
+
+
+def record_at(data: bytes, kind: int) -> tuple[int, int]:
+    """Where the first record of a kind is."""
+    begin = 8
+    while True:
+        end = begin + 9 + int.from_bytes(data[begin + 1 : begin + 9], 'little')
+        if data[begin] == kind:
+            return begin, end
+        begin = end
+
+
 def test_whole_bag_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     messages = some_messages(600)
     write_bag(tmp_path / 'bag', messages, max_duration_ns=249_000_000).close()
