@@ -56,7 +56,8 @@ def raw(bag: Path) -> dict[str, list[bytes]]:
             out.setdefault(connection.topic, []).append(bytes(data))
             if connection.topic not in OF_RCLPY:
                 message = reader.deserialize(data, connection.msgtype)
-                again = reader.typestore.serialize_cdr(message, connection.msgtype)
+                again = bytes(reader.typestore.serialize_cdr(message, connection.msgtype))
+                again += bytes(-len(again) % 4)
                 assert again == data, f'{connection.topic} has memory between its fields'
     return {topic: found for topic, found in out.items() if topic not in OF_RCLPY}
 
