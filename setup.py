@@ -37,13 +37,13 @@ setup(
     zip_safe=False,
     entry_points={
         'console_scripts': [
-            'controller = herding_ros.nodes.controller:main',
-            'herd = herding_ros.nodes.herd:main',
-            'recorder = herding_ros.nodes.recorder:main',
-            'recover = herding_ros.bag.cli:main',
-            'report = herding_ros.report.cli:main',
-            'sim = herding_ros.nodes.sim:main',
-            'study = herding_ros.studies.cli:main',
+            'controller = herding_ros.programs:controller',
+            'herd = herding_ros.programs:herd',
+            'recorder = herding_ros.programs:recorder',
+            'recover = herding_ros.programs:recover',
+            'report = herding_ros.programs:report',
+            'sim = herding_ros.programs:sim',
+            'study = herding_ros.programs:study',
         ],
     },
 )

@@ -160,9 +160,9 @@ def direct_forces(results: Results) -> str:
 
 
 def crossover(results: Results) -> str:
-    """Return times of a rollout with direct sums over those with a plan."""
+    """Return times of a rollout with direct sums over those with a mesh."""
     return table(
-        {'N': entry['sheep'], 'direct / planned': Quartiles.of(entry['ratios'])}
+        {'N': entry['sheep'], 'direct / mesh': Quartiles.of(entry['ratios'])}
         for entry in results.of('crossover')
     )
 

@@ -15,9 +15,7 @@ from herding_ros.control.parameters import Control, CONTROLS, PAPER
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
-from herding_ros.nodes.controller import ControllerSettings
-from herding_ros.nodes.settings import ControlPreset
-from herding_ros.nodes.sim import SimSettings
+from herding_ros.nodes.settings import ControllerSettings, ControlPreset, SimSettings
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 FILES = sorted(CONFIG.glob('*.yaml'))

@@ -231,13 +231,11 @@ def from_yaml(string: str) -> Any:
                 raise ValueError(f'must have no aliases, got one{event.start_mark}')
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > _DEEPEST or count > _MOST_EVENTS:
-                raise ValueError(
-                    f'must have at most {_MOST_EVENTS} values, nested at most {_DEEPEST} deep'
-                )
-        return yaml.load(string, yaml.CBaseLoader)
+            if depth > _DEEPEST or count > min(_MOST_EVENTS, 10 + len(string) // 6):
+                raise ValueError(f'must have fewer values, nested at most {_DEEPEST} deep')
+        return yaml.CBaseLoader(string).get_single_data()
     except yaml.YAMLError as error:
-        raise ValueError(str(error)) from error
+        raise ValueError(' '.join(str(error).split())) from error
 
 
 def read_map(string: str) -> dict[str, Any]:

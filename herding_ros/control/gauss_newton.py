@@ -15,7 +15,7 @@ from herding_ros.model.state import Array
 from .solution import Budget, criticality, Problem, Solution, Status, ValueAndGradient
 from .spg import spg
 
-_INNER = Budget(max_iterations=100, tolerance=1e-5)
+_MAX_INNER_ITERATIONS, _INNER_TOLERANCE = 100, 1e-5
 
 
 class Linearisation(Protocol):
@@ -39,14 +39,16 @@ def gauss_newton(
 
     The regulariser's problem is R alone, over that set. Each iteration replaces the residual by
     r(u_k) + S (u - u_k), with S = linearise(u_k), and minimises that plus R, as it is, by `spg`,
-    which costs no residual. Converged when a step is at most the tolerance long; ends when the
-    value does not decrease any more. `Solution.calls` counts residuals. Where the residual can
-    be made small, S may be one for all u, made once.
+    which costs no residual, but may evaluate R a hundred times: both ask whether there is time.
+    Converged when a step is at most the tolerance long; ends when the value does not decrease any
+    more. `Solution.calls` counts residuals. Where the residual can be made small, S may be one
+    for all u, made once.
     """
     project, inner = regulariser.project, regulariser.inner
     u = project(start)
-    r = residual(u)
+    r, s = residual(u), linearise(u)
     value = _square(r) + regulariser.value_and_gradient(u)[0]
+    inner_budget = Budget(_MAX_INNER_ITERATIONS, _INNER_TOLERANCE, budget.out_of_time)
     status = Status.ITERATION_LIMIT
     iterations = 0
     while iterations < budget.max_iterations:
@@ -54,8 +56,9 @@ def gauss_newton(
             status = Status.OUT_OF_TIME
             break
         iterations += 1
-        model = _linear_model(r, linearise(u), u, regulariser.value_and_gradient)
-        trial = spg(replace(regulariser, value_and_gradient=model), u, _INNER).u
+        s = linearise(u)
+        model = _linear_model(r, s, u, regulariser.value_and_gradient)
+        trial = spg(replace(regulariser, value_and_gradient=model), u, inner_budget).u
         trial_residual = residual(trial)
         trial_value = _square(trial_residual) + regulariser.value_and_gradient(trial)[0]
         if trial_value >= value:
@@ -66,7 +69,9 @@ def gauss_newton(
         if math.sqrt(inner(step, step)) <= budget.tolerance:
             status = Status.CONVERGED
             break
-    gradient = linearise(u).transposed(r) + regulariser.value_and_gradient(u)[1]
+    if status is not Status.OUT_OF_TIME:
+        s = linearise(u)  # else the last one has to do
+    gradient = s.transposed(r) + regulariser.value_and_gradient(u)[1]
     distance = criticality(regulariser, u, gradient)
     return Solution(u, value, distance, status, iterations, iterations + 1)
 

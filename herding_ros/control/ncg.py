@@ -42,12 +42,16 @@ def ncg(problem: Problem, start: Array, budget: Budget) -> Solution:
             length = math.sqrt(inner(moved, moved))
             if trial_value <= value - _SUFFICIENT_DECREASE / size * length**2:
                 break
+            if budget.out_of_time():
+                status = Status.OUT_OF_TIME
+                break
             size *= 0.5
         else:
             if inner(direction + gradient, direction + gradient) > 0.0:
                 direction, size = -gradient, 1.0  # restart by steepest descent
                 continue
             status = Status.NO_DESCENT
+        if status is not Status.ITERATION_LIMIT:
             break
         iterations += 1
         beta = inner(trial_gradient, trial_gradient - gradient) / inner(gradient, gradient)

@@ -208,6 +208,22 @@ class Sensor(Parameters):
 
 
 @dataclass(frozen=True)
+class Timing(Parameters):
+    """How far ahead a pilot plans, and how long it waits."""
+
+    lead: float = quantity(
+        2.0, 'time before its window at which a plan is begun, not in lockstep', 's', low=0.0
+    )
+    state_timeout: float = quantity(
+        1.0,
+        'not in lockstep, observations older than this do not count: without sheep the dogs '
+        'stop, without its odometry a dog is left out of the plans',
+        's',
+        low=TINY,
+    )
+
+
+@dataclass(frozen=True)
 class Control(Parameters):
     """All parameters of the controller besides the crowd."""
 

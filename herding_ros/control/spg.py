@@ -54,9 +54,13 @@ def spg(problem: Problem, start: Array, budget: Budget) -> Solution:
             calls += 1
             if trial_value <= ceiling + _SUFFICIENT_DECREASE * fraction * slope:
                 break
+            if budget.out_of_time():
+                status = Status.OUT_OF_TIME
+                break
             fraction = _interpolate(fraction, slope, value, trial_value)
         else:
             status = Status.NO_DESCENT
+        if status is not Status.ITERATION_LIMIT:
             break
         moved, changed = trial - u, trial_gradient - gradient
         curvature = inner(moved, changed)

@@ -8,7 +8,6 @@ of the node's clock, while the pilot plans ahead in the background.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 import sys
 
@@ -21,12 +20,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Control, OutOfStepError
+from herding_ros.control.parameters import OutOfStepError
 from herding_ros.control.pilot import Announcement, Decision, dog_name
-from herding_ros.control.real_time_pilot import RealTimePilot, Timing
+from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
-from herding_ros.model.crowd import Crowd
-from herding_ros.model.parameters import quantity
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
@@ -36,7 +33,7 @@ from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
 from .mismatches import Mismatches, twist_type
 from .observations import Observations
-from .parameters import declare
+from .parameters import declare, declare_control, declare_crowd
 from .publishing import (
     ADJUSTABLE,
     CountingPublisher,
@@ -47,12 +44,7 @@ from .publishing import (
     UNWATCHED,
 )
 from .running import CannotGoOnError, run
-from .settings import declare_control, declare_crowd, NodeSettings
-
-_IN_HELP = (
-    'dogs', 'goal', 'seed', 'crowd.noise', 'max_speed', 'horizon.length', 'horizon.accepted',
-    'lockstep', 'lead', 'state_timeout', 'mapping.paths', 'stamped',
-)  # fmt: skip
+from .settings import ControllerSettings
 
 _PATH_SPACING = 0.5
 """Time between two poses of a path [s]."""
@@ -62,17 +54,6 @@ _STATE_PERIOD = 1.0
 
 _LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Room for what a slow subscriber has not received yet; a late one gets all that is in it."""
-
-
-@dataclass(frozen=True)
-class ControllerSettings(NodeSettings, Timing):
-    """How the controller behaves as a ROS node."""
-
-    dogs: int = quantity(5, 'number of dogs', low=1)
-    most_sheep: int = quantity(
-        100_000, 'a message with more sheep than this is refused', low=1, high=1_000_000
-    )
-    seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
 
 
 class Controller(HerdingNode):
@@ -277,17 +258,7 @@ _LOG = {
 
 def main(args: list[str] | None = None) -> int:
     """Run the node, or print help."""
-    groups = [('', ControllerSettings()), ('', Control()), ('crowd.', Crowd())]
-    command_line.read(
-        'controller',
-        'Herds by space-mapping receding-horizon control: commands for the dogs from '
-        'observations of sheep and dogs.',
-        'publishes: dog_<i>/cmd_vel, plan, herd/path, dog_<i>/path, /diagnostics\n'
-        'subscribes to: sheep, dog_<i>/odom, goal_pose',
-        command_line.rows(groups, _IN_HELP),
-        'controller --ros-args -p dogs:=3 -p use_sim_time:=true -p lead:=5.0',
-        args,
-    )
+    command_line.read('controller', args)
     return run(Controller, args)
 
 

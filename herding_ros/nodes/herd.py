@@ -11,7 +11,6 @@ import math
 import os
 from pathlib import Path
 import sys
-import threading
 import time
 
 import rclpy
@@ -23,7 +22,7 @@ from herding_ros.model.scenario import GOAL
 
 from .middleware import start_ros
 from .progress import ProgressLine, Watcher
-from .signals import note_signals
+from .signals import note_signals, Noted
 from .supervision import Child
 
 _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED, _INTERRUPTED = 0, 1, 2, 3, 130
@@ -130,9 +129,7 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     ]
 
 
-def _watch(
-    children: list[Child], watcher: Watcher, interrupted: threading.Event, console: Console
-) -> int:
+def _watch(children: list[Child], watcher: Watcher, interrupted: Noted, console: Console) -> int:
     """Show how it goes until it is over; return the exit code."""
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)

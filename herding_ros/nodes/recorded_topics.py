@@ -14,6 +14,7 @@ from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ..bag.definitions import message_definition
+from .inbox import MOST_AT_ONCE
 from .tap import Received, Tap
 from .topic_qos import adapted_qos, asks_more, is_same, qos_map
 
@@ -26,6 +27,10 @@ Room is taken when they come in. What does not fit is dropped without a word.
 
 OVERLAP = 1.0
 """Time in which a new subscription is matched, while the one that it replaces goes on [s]."""
+
+
+_MOST_SEEN = 1000
+"""Messages that are remembered, since they may come again, while no publisher is known."""
 
 
 class NewTopic(NamedTuple):
@@ -86,6 +91,8 @@ class RecordedTopics:
     def take_last(self) -> list[Received]:
         """Return what has come in and is still to be taken."""
         received = self.take()
+        while any(topic.is_behind for topic in self._followed.values()):
+            received += self.take()
         last, self._for_next_round = self._for_next_round, []
         return received + last
 
@@ -201,7 +208,8 @@ class RecordedTopics:
 class _Followed:
     """A topic with its subscription, and for a while those that it has replaced.
 
-    `is_provisional`: no publisher was known when it was subscribed to.
+    `is_provisional`: no publisher was known when it was subscribed to; `is_behind`: there may be
+    more than the last `take()` returned.
     """
 
     def __init__(self, tap: Tap, type_name: str, definition: str) -> None:
@@ -210,16 +218,20 @@ class _Followed:
         self.definition = definition
         self.is_added = False
         self.is_provisional = True
+        self.is_behind = False
         self._replaced: list[Tap] = []
         self._replaced_at = 0.0
         self._seen: set[tuple[int, bytes]] = set()  # what may come in once more
 
     def take(self) -> list[Received]:
         """Return what has come in, each message once."""
-        received = [message for tap in (*self._replaced, self.tap) for message in tap.take()]
+        taken = [tap.take() for tap in (*self._replaced, self.tap)]
+        received = [message for each in taken for message in each]
+        self.is_behind = any(len(each) == MOST_AT_ONCE for each in taken)
         if self._replaced or self.is_provisional:
             received = self._new_of(received)
-        if self._replaced and time.monotonic() > self._replaced_at + OVERLAP:
+        is_matched = time.monotonic() > self._replaced_at + OVERLAP
+        if self._replaced and is_matched and not self.is_behind:
             for tap in self._replaced:
                 tap.destroy()
             self._replaced.clear()
@@ -234,6 +246,8 @@ class _Followed:
 
     def _new_of(self, received: list[Received]) -> list[Received]:
         new = []
+        if len(self._seen) > _MOST_SEEN and not self._replaced:
+            self._seen.clear()
         for message in received:
             key = message.publish_ns, message.data
             # The same message has the same time, unless its publisher gives none.

@@ -12,12 +12,10 @@ from collections.abc import Callable
 import json
 from pathlib import Path
 import sys
-import threading
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
 import rclpy
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.exceptions import ParameterException
@@ -34,10 +32,12 @@ from .log_clock import LogClock, rewritten
 from .middleware import start_ros
 from .mismatches import Mismatches
 from .parameter_query import ParameterQuery
+from .parameters import declare
 from .publishing import CLOCK, CountingPublisher, EVERY_MESSAGE
 from .recorded_topics import NewTopic, RecordedTopics
 from .refusals import Refused
-from .signals import ignore_signals, note_signals
+from .settings import RecorderSettings
+from .signals import ignore_signals, note_signals, Noted
 from .tap import Received
 
 TAKE_PERIOD = 0.02
@@ -65,7 +65,6 @@ LAST_MESSAGES = 0.05
 """Time in which messages published before the end arrive [s]."""
 
 
-_NO_CLOCK = 'use_sim_time is true, but nothing has come on /clock'
 _UNTIL_CLOCK = (
     'log times are wall time until then; start what publishes it, or set use_sim_time to false'
 )
@@ -82,28 +81,9 @@ class Recorder(HerdingNode):
 
     def __init__(self) -> None:
         super().__init__('recorder')
-        self.bag_path = Path(
-            self._declare(
-                'bag',
-                time.strftime('bag_%Y_%m_%d-%H_%M_%S'),
-                'Folder of the bag, created at start; it must not exist. ~ is your home.',
-            )
-        ).expanduser()
-        topics = self._declare(
-            'topics',
-            [''],
-            'Full names of the topics to record; none, or an empty one: all of '
-            "the node's namespace, and what ROS shares between namespaces.",
-        )
-        self.max_size = self._declare(
-            'max_bag_size', 0, 'Size after which the bag goes on in another file; 0: never. [byte]'
-        )
-        self.max_duration = self._declare(
-            'max_bag_duration',
-            0,
-            'Time after which the bag goes on in another file; 0: never. [s]',
-        )
-        self._chosen = {topic for topic in topics if topic}
+        settings = RecorderSettings(bag=time.strftime('bag_%Y_%m_%d-%H_%M_%S'))
+        self._settings = declare(self, settings)
+        self._chosen = {topic for topic in self._settings.topics if topic}
         self._clock_topic = self.resolve_topic_name(CLOCK)
         self._shared = {self.resolve_topic_name(topic) for topic in (CLOCK, *SHARED)}
         self._topics = RecordedTopics(self, self._is_wanted, self._add_topic)
@@ -125,21 +105,21 @@ class Recorder(HerdingNode):
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/resume', self._on_resume)
 
-    def _declare(self, name: str, default: Any, description: str) -> Any:
-        descriptor = ParameterDescriptor(description=description, read_only=True)
-        if isinstance(default, int):
-            descriptor.integer_range = [IntegerRange(from_value=0, to_value=2**63 - 1)]
-        return self.declare_parameter(name, default, descriptor).value
-
     def create_bag(self) -> None:
         """Create the bag; raises what `BagWriter` raises."""
         self.bag = self._create_bag()
 
     def _create_bag(self) -> BagWriter:
-        max_duration_ns = self.max_duration * 1_000_000_000
-        return BagWriter(self.bag_path, self._custom_data(), self.max_size, max_duration_ns)
+        settings = self._settings
+        max_duration_ns = settings.max_bag_duration * 1_000_000_000
+        return BagWriter(
+            Path(settings.bag).expanduser(),
+            self._custom_data(),
+            settings.max_bag_size,
+            max_duration_ns,
+        )
 
-    def record(self, stop: threading.Event) -> bool:
+    def record(self, stop: Noted) -> bool:
         """Record into the bag until stop is set, and close it.
 
         Returns whether all could be written.
@@ -199,7 +179,7 @@ class Recorder(HerdingNode):
         if self._failure:
             return f'stopped: {self._failure}'
         state = 'paused' if self._paused else 'recording'
-        return f'{state}, {_NO_CLOCK}' if self._lacks_clock else state
+        return f'{state}, {self._without_clock}' if self._lacks_clock else state
 
     def _search_graph(self) -> None:
         self._topics.discover()
@@ -239,6 +219,10 @@ class Recorder(HerdingNode):
         """Whether the simulation's clock should have come by now."""
         late = time.monotonic() > self._begun + CLOCK_PATIENCE
         return late and self._in_simulation and not self._log_clock.is_known
+
+    @property
+    def _without_clock(self) -> str:
+        return f'use_sim_time is true, but nothing has come on {self._clock_topic}'
 
     def _keep_custom_data(self) -> None:
         self._attempt(lambda: self.bag.set_custom_data(self._custom_data()))
@@ -311,7 +295,7 @@ class Recorder(HerdingNode):
         }
         if self._lacks_clock and not self._is_clock_missed:
             self._is_clock_missed = True
-            self.get_logger().warning(f'{_NO_CLOCK}: {_UNTIL_CLOCK}')
+            self.get_logger().warning(f'{self._without_clock}: {_UNTIL_CLOCK}')
         good = not (self._refused.counts or mismatched or self._lacks_clock)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         status = DiagnosticStatus(
@@ -325,34 +309,19 @@ class Recorder(HerdingNode):
         self._diagnostics.publish(message)
 
 
-_IN_HELP = [
-    ('bag', 'bag_<time>', 'folder of the bag, which must not exist'),
-    ('topics', '[]', 'full names of the topics to record; none: all of the namespace'),
-    ('max_bag_size', '0 byte', 'size after which the bag goes on in another file; 0: never'),
-    ('max_bag_duration', '0 s', 'time after which the bag goes on in another file; 0: never'),
-]
-
-
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM, or print help.
 
     Returns 0, 2 when the node cannot start or the bag not be created, 1 when the bag could be
     written no more.
     """
-    command_line.read(
-        'recorder',
-        'Records every topic, as it is on the wire, into a rosbag2 bag (mcap).',
-        'publishes: /diagnostics\nsubscribes to: all topics\nservices: ~/pause, ~/resume',
-        _IN_HELP,
-        'recorder --ros-args -p bag:=my_bag -p use_sim_time:=true',
-        args,
-    )
+    command_line.read('recorder', args)
     # An exception raised by a signal could break a message in two, so there is none.
     stop = note_signals()
     try:
         start_ros(args)
         recorder = Recorder()
-    except (ParameterException, RuntimeError, rclpy_implementation.RCLError) as error:
+    except (ParameterException, RuntimeError, ValueError, rclpy_implementation.RCLError) as error:
         print(f'cannot start: {error}', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
@@ -364,7 +333,7 @@ def main(args: list[str] | None = None) -> int:
         ignore_signals()
 
 
-def _record(recorder: Recorder, stop: threading.Event) -> int:
+def _record(recorder: Recorder, stop: Noted) -> int:
     """Record into a new bag; returns the exit code."""
     log = recorder.get_logger()
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Callable
+import gc
 import sys
 import traceback
 
@@ -47,6 +48,7 @@ def _run(make_node: Callable[[], HerdingNode], args: list[str] | None) -> int:
         print(f'cannot start: {error}', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
+    gc.freeze()  # a search for garbage in all that has been loaded would take a control period
 
     def end() -> None:
         node.stop()

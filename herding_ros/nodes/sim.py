@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 import sys
 
@@ -21,7 +20,6 @@ from visualization_msgs.msg import MarkerArray
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import distance, spread
-from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up_rollout
@@ -32,7 +30,7 @@ from .duplicates import ANOTHER_CLOCK, sole_publisher
 from .herding_node import HerdingNode
 from .mismatches import Mismatches
 from .pacing import Lockstep, Pace, RealTime
-from .parameters import declare
+from .parameters import declare, declare_crowd
 from .publishing import (
     ADJUSTABLE,
     CLOCK,
@@ -42,33 +40,13 @@ from .publishing import (
     UNWATCHED,
 )
 from .running import run
-from .settings import declare_crowd, NodeSettings
+from .settings import SimSettings
 from .simulated_run import SimulatedRun
-
-_IN_HELP = (
-    'sheep', 'dogs', 'seed', 'goal', 'crowd.noise', 'position_noise', 'velocity_noise',
-    'max_speed', 'lockstep', 'real_time_factor', 'stop_on_arrival', 'time_limit',
-)  # fmt: skip
 
 _PERIODS_PER_MARKER = 5
 
 _DIAGNOSTICS_PERIOD = 0.5
 """Wall time between two messages on /diagnostics [s]."""
-
-
-@dataclass(frozen=True)
-class SimSettings(NodeSettings):
-    """How the sim behaves as a ROS node."""
-
-    real_time_factor: float = quantity(
-        1.0, 'simulated seconds per second when not in lockstep', low=1e-3, high=1e3, live=True
-    )
-    command_timeout: float = quantity(
-        0.5, 'a dog stops when its last command is older than this', 's', low=TINY
-    )
-    stop_on_arrival: bool = quantity(False, 'stand still once the flock is home and together')
-    time_limit: float = quantity(0.0, 'stand still after this time; 0: never', 's', low=0.0)
-    end_when_finished: bool = quantity(False, 'end the node instead of standing still')
 
 
 class Sim(HerdingNode):
@@ -248,16 +226,7 @@ class Sim(HerdingNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node, or print help."""
-    groups = [('', SimSettings()), ('', World()), ('crowd.', Crowd())]
-    command_line.read(
-        'sim',
-        'Moves the herd, and publishes what sensors would observe of it.',
-        'publishes: sheep, dog_<i>/odom, truth/sheep, truth/dog_<i>/odom, /clock, markers, '
-        '/diagnostics\nsubscribes to: dog_<i>/cmd_vel, goal_pose\nservices: ~/reset, ~/pause',
-        command_line.rows(groups, _IN_HELP),
-        'sim --ros-args -p sheep:=20 -p dogs:=3 -p real_time_factor:=10.0',
-        args,
-    )
+    command_line.read('sim', args)
     return run(Sim, args)
 
 

@@ -69,7 +69,7 @@ def _in_words(summary: dict[str, Any]) -> str:
     if summary['real_time_factor'] is not None:
         lines.append(
             f'{summary["messages_recorded"]} messages, {summary["wall_s"]:.1f} s of wall time, '
-            f'{summary["real_time_factor"]:.1f} × real time'
+            f'{summary["real_time_factor"]:.1f} x real time'
         )
     if summary['messages_lost']:
         lines.append(f'{summary["messages_lost"]} messages were lost on their way to the recorder')

@@ -13,9 +13,9 @@ from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Fraction
 from herding_ros.report.style import COLOURS, legend, new, save
 
-from .pictures import draw_runs
 from .runs import (
     arrival_row,
+    draw_runs,
     failures,
     LIMIT,
     median_time,

@@ -11,8 +11,7 @@ from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import table
 from herding_ros.report.style import BLUE, COLOURS, GREY, legend, new, RED, save
 
-from .pictures import draw_runs, draw_times
-from .runs import arrival_row, failures, LIMIT, number, run_task, summary
+from .runs import arrival_row, draw_runs, draw_times, failures, LIMIT, number, run_task, summary
 from .study import Options, Results, Row, Section
 from .task import Task
 

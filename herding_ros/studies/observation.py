@@ -14,8 +14,17 @@ from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, legend, new, RED, save
 
-from .pictures import draw_times
-from .runs import arrival_row, failures, LIMIT, median_time, run_task, safe, success, summary
+from .runs import (
+    arrival_row,
+    draw_times,
+    failures,
+    LIMIT,
+    median_time,
+    run_task,
+    safe,
+    success,
+    summary,
+)
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 

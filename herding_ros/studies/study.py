@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -37,6 +37,13 @@ def grid(**values: Sequence[Any]) -> Iterator[dict[str, Any]]:
     """Yield every combination of values as parameters by name, the last one varying fastest."""
     for each in product(*values.values()):
         yield dict(zip(values, each, strict=True))
+
+
+def tasks_of(
+    kind: str, cost: float, cases: Iterable[Mapping[str, Any]], **common: Any
+) -> list[Task]:
+    """Return a task for each case, whose parameters come on top of the common ones."""
+    return [Task(kind, {**common, **case}, cost) for case in cases]
 
 
 @dataclass(frozen=True)

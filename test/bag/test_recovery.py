@@ -489,6 +489,24 @@ def test_messages_of_lost_topics_are_counted(
     assert 'it lacks the topics of 190 messages' in capsys.readouterr().out
 
 
+def test_times_are_those_of_the_messages_that_are_left(tmp_path: Path) -> None:
+    messages = some_messages(50)
+    bag = write_bag(tmp_path / 'bag', messages)
+    bag.add_topic('/late', 'std_msgs/msg/Late', 'string data\n', [PROFILE], '')
+    late = ('/late', START + 25_500_000, text_message('late'))
+    bag.write('/late', late[2], late[1], late[1])
+    bag.flush()
+    dead = killed(bag, tmp_path / 'killed')
+    data = bytearray((dead / 'bag_0.mcap').read_bytes())
+    data[data.index(messages[3][2]) + 10] ^= 1  # the chunk with the other topics
+    (dead / 'bag_0.mcap').write_bytes(data)
+    recover(dead)
+    assert read(dead) == [late]
+    with AnyReader([dead]) as reader:
+        assert (reader.start_time, reader.duration) == (late[1], 1)
+    assert recover(dead).was_whole
+
+
 def test_chunk_without_checksum_is_kept_or_left_out_as_a_whole(tmp_path: Path) -> None:
     messages = some_messages(200)
     write_file(tmp_path / 'stock_0.mcap', messages, chunk_size=5000)

@@ -115,6 +115,33 @@ def test_without_a_defect_the_coarse_optimum_is_extracted(
     np.testing.assert_allclose(extraction.extract(target, u), u, rtol=0, atol=1e-9)
 
 
+def test_out_of_time_a_search_ends_within_two_evaluations(coarse: CoarseModel) -> None:
+    """By a clock on which an evaluation of an expensive cost takes a second, and nothing else."""
+    now = 0
+
+    class Expensive(Apart):
+        def value_and_derivatives(
+            self, trajectory: Trajectory, u: Array
+        ) -> tuple[float, Derivatives]:
+            nonlocal now
+            now += 1
+            return super().value_and_derivatives(trajectory, u)
+
+    def seconds(limit: float) -> int:
+        nonlocal now
+        now = 0
+        extraction = ParameterExtraction(
+            coarse, admissible, plan(), GAMMA, [Expensive(300.0, 1.0)], lambda: now >= limit
+        )
+        u = extraction.extract(centre(coarse.rollout(plan(3)).x), plan())
+        assert np.linalg.norm(u, axis=-1).max() <= LIMIT * (1.0 + 1e-12)
+        return now
+
+    assert seconds(np.inf) > 200
+    for limit in range(2, 20):
+        assert seconds(limit) <= limit + 2
+
+
 def test_a_correction_pays_for_what_it_undoes() -> None:
     """A plan that keeps its dogs apart stays so when it is corrected for the noise."""
     state = initial_herd(30, 5, GOAL, np.random.default_rng(40))

@@ -13,10 +13,10 @@ import pytest
 
 from herding_ros.control.closed_loop import as_policy
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Control, Horizon, OutOfStepError, Sensor
+from herding_ros.control.parameters import Control, Horizon, OutOfStepError, Sensor, Timing
 from herding_ros.control.pilot import Decision, Observed
 from herding_ros.control.plan import Plan
-from herding_ros.control.real_time_pilot import RealTimePilot, Timing
+from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import never, NoTimeFor, Status
 from herding_ros.control.solve_report import SolveReport

@@ -34,9 +34,8 @@ from std_msgs.msg import Int32, String
 from herding_ros import __version__
 from herding_ros.bag.recovery import recover
 from herding_ros.nodes.middleware import start_ros
-from herding_ros.nodes.recorded_topics import DEPTH
+from herding_ros.nodes.recorded_topics import NewTopic, RecordedTopics
 from herding_ros.nodes.recorder import Recorder
-from herding_ros.nodes.tap import Tap
 
 LIMIT = 30.0
 """No condition is waited for any longer [s]."""
@@ -396,16 +395,23 @@ def test_subscribers_of_another_type_change_nothing(
 
 def test_subscription_holds_all_that_comes_while_the_disk_makes_it_wait(domain: int) -> None:
     with other_node(domain, 'listener') as listener, other_node(domain, 'talker') as talker:
-        tap = Tap(listener, '/topic', String, QoSProfile(depth=DEPTH))
+        added: list[NewTopic] = []
+        topics = RecordedTopics(listener, '/topic'.__eq__, added.append)
         publisher = talker.create_publisher(String, '/topic', RELIABLE)
-        wait_until(lambda: is_heard([publisher]))
+
+        def is_followed() -> bool:
+            topics.discover()
+            return is_heard([publisher])
+
+        wait_until(is_followed)
         for k in range(6000):
             publisher.publish(text_message(f'{k}'))
             if k % 500 == 0:
                 wait_until(lambda: is_delivered([publisher]))
         wait_until(lambda: is_delivered([publisher]))
-        received = [message.data for _ in range(7) for message in tap.take()]
+        received = [message.data for message in topics.take_last()]
         assert received == [text_message(f'{k}') for k in range(6000)]
+        assert [topic.name for topic in added] == ['/topic']
 
 
 def test_nodes_that_come_and_go_leave_no_clients(

@@ -72,7 +72,7 @@ def test_both_settings_agree_in_all_but_the_network() -> None:
     """Announcements of nodes and heartbeats of publishers are the same in both files."""
     settings = Path(middleware.__file__).parent
     files = [ElementTree.parse(settings / f'fastdds{name}.xml') for name in ('', '_localhost')]
-    for shared in ('discovery_config', 'data_writer'):
+    for shared in ('discovery_config', 'data_writer', 'data_reader'):
         found = [file.iterfind(f'.//{{*}}{shared}//*') for file in files]
         written = [[(each.tag, (each.text or '').strip()) for each in one] for one in found]
         assert written[0] == written[1] != []

@@ -73,7 +73,7 @@ def test_errors_are_those_of_observations_and_of_estimates() -> None:
 def test_errors_are_measured_against_the_state_at_that_instant() -> None:
     simulation = Simulation(Crowd(), World(sheep=4, dogs=2, seed=3), GOAL)
     pilot = LockstepPilot(RecedingHorizon(Crowd(), SMALL, GOAL), 2)
-    watched = Watched(as_policy(pilot, []), pilot, simulation)
+    watched = Watched(as_policy(pilot, []), simulation, pilot)
     assert set(watched.errors()['observed'].values()) == {0.0}
     squares = []
     for k in range(3):

@@ -26,42 +26,31 @@ from .strombom import Strombom
 _QUANTITIES = {'position': 'x', 'velocity': 'v', 'dog': 'd'}
 
 
-class Stopwatch:
-    """A policy with the processor time [s] that it takes.
+class Watched:
+    """A policy with its processor time [s], and the errors of what it sees and estimates.
 
     Time of this process on all its cores: other load on the machine does not count.
     """
 
-    def __init__(self, policy: Policy) -> None:
-        """Measure this policy."""
-        self._policy = policy
+    def __init__(
+        self, policy: Policy, simulation: Simulation, pilot: LockstepPilot | None = None
+    ) -> None:
+        """Watch a policy in this world; pilot: the one that decides in it, if any."""
+        self._policy, self._simulation, self._pilot = policy, simulation, pilot
         self.seconds = 0.0
+        self._squares: dict[str, list[list[float]]] = {'observed': [], 'estimated': []}
 
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the velocities (M, 2) [m/s] of the policy."""
         started = time.process_time()
         u = self._policy(observed, t)
         self.seconds += time.process_time() - started
-        return u
-
-
-class Watched:
-    """The controller with the errors of its observations and of its estimates."""
-
-    def __init__(self, policy: Policy, pilot: LockstepPilot, simulation: Simulation) -> None:
-        """Watch a pilot, which decides in `policy`, in this world."""
-        self._policy = policy
-        self._pilot = pilot
-        self._simulation = simulation
-        self._squares: dict[str, list[list[float]]] = {'observed': [], 'estimated': []}
-
-    def __call__(self, observed: HerdState, t: float) -> Array:
-        """Return the velocities (M, 2) [m/s] of the controller."""
-        u = self._policy(observed, t)
-        estimate = self._pilot.estimate
-        assert estimate is not None
+        states = {'observed': observed}
+        if self._pilot is not None:
+            assert self._pilot.estimate is not None
+            states['estimated'] = self._pilot.estimate.state
         truth = self._simulation.state
-        for name, state in (('observed', observed), ('estimated', estimate.state)):
+        for name, state in states.items():
             self._squares[name].append(
                 [
                     float(np.square(getattr(state, a) - getattr(truth, a)).mean())
@@ -119,7 +108,8 @@ def run(
     if noise is not None:
         world = replace(world, position_noise=noise, velocity_noise=noise)
     reports: list[SolveReport] = []
-    decide: Policy
+    pilot: LockstepPilot | None = None
+    decide: Policy = _stand
     if policy == 'planner':
         control = Control().with_values({'mapping.paths': paths, **settings})
         pilot = LockstepPilot(RecedingHorizon(herd, control, destination, seed), dogs)
@@ -128,22 +118,19 @@ def run(
         decide = Strombom(destination, np.random.default_rng([seed, 30_000]), **settings)
     elif policy == 'none':
         herd = replace(herd, dog=Morse(0.0, 1.0, 0.0, 1.0))
-        decide = _stand
     else:
         raise ValueError(f"policy must be 'planner', 'strombom' or 'none', got {policy!r}")
     simulation = Simulation(herd, world, destination)
-    decide = timed = Stopwatch(decide)
-    if policy == 'planner':
-        decide = watched = Watched(timed, pilot, simulation)
-    track = play(simulation, decide, time_limit, stop)
+    watched = Watched(decide, simulation, pilot)
+    track = play(simulation, watched, time_limit, stop)
     period = world.control_period
     result = {
         **measures(track, destination, period),
-        'policy_cpu': timed.seconds,
+        'policy_cpu': watched.seconds,
         'paths': course(track, destination, max(round(every / period), 1)),
         'snapshots': snapshots_at(track, snapshots, period),
     }
-    if policy == 'planner':
+    if pilot is not None:
         result |= {'plans': plans(reports), 'errors': watched.errors()}
     return result
 

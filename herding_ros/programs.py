@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The programs by their names, with terminal and signals in order before anything is loaded.
+
+Loading a program takes seconds, in which Ctrl-C comes too. And no output may end one: characters
+that a terminal does not have are written as escapes, and what nobody reads any more, behind
+`| head -1` or when the terminal was closed, is dropped.
+"""
+
+from __future__ import annotations
+
+import errno
+from functools import partial
+import gc
+from importlib import import_module
+import io
+import os
+import signal
+import sys
+from typing import Any
+
+INTERRUPTED = 130
+"""Exit code of a program that a signal has ended before its work was done."""
+
+_UNREAD = (errno.EPIPE, errno.EIO)
+
+
+def _run(
+    name: str, module: str, interrupted: int = INTERRUPTED, help_module: str | None = None
+) -> int:
+    """Run a program; until it takes care of signals itself, one ends it with that exit code.
+
+    `help_module` can answer `--help` before the program is loaded.
+    """
+    guard_output()
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.getsignal(number) for number in signals}
+    for number in signals:
+        signal.signal(number, partial(_leave, name, interrupted))
+    gc.disable()  # to look for garbage in what is being loaded takes a tenth of the time
+    if help_module is not None:
+        import_module(f'herding_ros.{help_module}').answer_help(name)
+    main = import_module(f'herding_ros.{module}').main
+    gc.enable()
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    try:
+        return int(main())
+    except KeyboardInterrupt:
+        print(f'{name}: interrupted', file=sys.stderr)
+        return interrupted
+
+
+def _leave(name: str, code: int, *_: Any) -> None:
+    """End at once: an exception could get lost in what is being imported."""
+    os.write(2, f'{name}: interrupted while loading\n'.encode())
+    os._exit(code)
+
+
+def guard_output() -> None:
+    """Let nothing that is printed end this program."""
+    for name in ('stdout', 'stderr'):
+        stream = getattr(sys, name)
+        if stream is not None:  # closed by the shell: >&-
+            raw = io.BufferedWriter(_Unbreakable(stream.fileno(), 'w', closefd=False))
+            guarded = io.TextIOWrapper(
+                raw, stream.encoding, 'backslashreplace', line_buffering=stream.line_buffering
+            )
+            setattr(sys, name, guarded)
+
+
+class _Unbreakable(io.FileIO):
+    """Drops what is written once nobody reads it."""
+
+    def write(self, data: Any) -> int | None:  # type: ignore[override]
+        """Write bytes, or return as if they had been written."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno not in _UNREAD:
+                raise
+            return memoryview(data).nbytes
+
+
+# A node that was asked to end has done its work.
+sim = partial(_run, 'sim', 'nodes.sim', 0, 'nodes.command_line')
+controller = partial(_run, 'controller', 'nodes.controller', 0, 'nodes.command_line')
+recorder = partial(_run, 'recorder', 'nodes.recorder', 0, 'nodes.command_line')
+herd = partial(_run, 'herd', 'nodes.herd')
+recover = partial(_run, 'recover', 'bag.cli')
+report = partial(_run, 'report', 'report.cli')
+study = partial(_run, 'study', 'studies.cli')
