@@ -308,6 +308,7 @@ BAD_CLOUDS = {
     'infinity': (points_with(36, number(math.inf)), 'not finite'),
     'minus infinity': (points_with(64, number(-math.inf)), 'not finite'),
     'x beyond single precision': (points_with(4, number(1.1e6)), 'too large'),
+    'vy beyond single precision': (points_with(48, number(1.1e6)), 'too large'),
     'huge vy': (points_with(48, number(-3e38)), 'too large'),
     'other frame': (cloud_with(header=Header(frame_id='odom')), 'wrong frame'),
     'no frame': (cloud_with(header=Header()), 'wrong frame'),
@@ -363,7 +364,7 @@ def test_far_from_the_origin_sheep_need_double_precision() -> None:
         data=array.array('B', sheep.tobytes()),
     )  # fmt: skip
     assert np.array_equal(messages.sheep_in(cloud, 'map', 3).x, x)
-    with pytest.raises(Refused, match=r'resolves to 0\.5 m; send FLOAT64'):
+    with pytest.raises(Refused, match=r'resolves to 0\.5; send FLOAT64'):
         messages.sheep_in(messages.cloud(x, np.zeros((2, 2)), 0, 'map'), 'map', 3)
 
 
