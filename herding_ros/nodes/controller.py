@@ -31,6 +31,7 @@ from . import command_line, messages
 from .duplicates import sole_publisher
 from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
+from .mismatches import Mismatches, twist_type
 from .observations import Observations
 from .parameters import declare, declare_control, declare_crowd
 from .publishing import (
@@ -77,6 +78,7 @@ class Controller(HerdingNode):
         else:
             self._pilot = RealTimePilot(planner, settings.dogs, settings, self._seconds)
         self.load_kernels(warm_up)
+        self._mismatches = Mismatches(self)
         self._create_publishers()
         self.follow([('crowd.', crowd), ('', control)], self._pilot.adjust)
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
@@ -92,13 +94,22 @@ class Controller(HerdingNode):
         )
         self._goal = create(PoseStamped, 'herd/goal', _NEWEST)
         names = [dog_name(m) for m in range(self._settings.dogs)]
-        kind = TwistStamped if self._settings.stamped else Twist
         self._commands = [
-            publish(kind, f'{name}/cmd_vel', qos_overriding_options=ADJUSTABLE) for name in names
+            publish(
+                self._type_of_commands(f'{name}/cmd_vel'),
+                f'{name}/cmd_vel',
+                qos_overriding_options=ADJUSTABLE,
+            )
+            for name in names
         ]
         self._herd_path = publish(Path, 'herd/path')
         self._dog_paths = [publish(Path, f'{name}/path') for name in names]
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
+
+    def _type_of_commands(self, name: str) -> type[Twist] | type[TwistStamped]:
+        topic = self.resolve_topic_name(name)
+        others = self.get_subscriptions_info_by_topic(topic)
+        return twist_type(self, topic, self._settings, others)
 
     def stop(self) -> None:
         """End a solve that is under way early, since the node ends."""
@@ -126,6 +137,8 @@ class Controller(HerdingNode):
             self, settings.dogs, settings.frame, settings.most_sheep, settings.state_timeout,
             self._control, self._refused,
         )  # fmt: skip
+        if not settings.lockstep:
+            self._mismatches.follow(self._observations.inboxes)
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1, raw=True)
         self._publish_goal(np.array(settings.goal))
         self.create_timer(_STATE_PERIOD, self._publish_state, clock=self._wall)
@@ -187,7 +200,7 @@ class Controller(HerdingNode):
     def _publish_command(self, u: Array, ns: int) -> None:
         headings = self._observations.headings
         for m, publisher in enumerate(self._commands):
-            if self._settings.stamped:
+            if publisher.msg_type is TwistStamped:
                 publisher.publish(messages.command(u[m], headings[m], m + 1, ns))
             else:
                 publisher.publish(messages.twist(u[m], headings[m]))
@@ -236,8 +249,11 @@ class Controller(HerdingNode):
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
             **self._refused.report_values(),
+            **self._mismatches.report_values(),
         }
-        good = condition.good and not (pilot.plans_failed or self._refused.counts)
+        good = condition.good and not (
+            pilot.plans_failed or self._refused.counts or self._mismatches.report_values()
+        )
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         self._diagnostics.publish(
             messages.diagnostics(self.status_name('state'), now, level, condition.doing, values)

@@ -23,7 +23,11 @@ class NodeSettings(Parameters):
         'the sim waits at each control period for the commands that reply to its state: '
         'the controller stamps them as the state is stamped',
     )
-    stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
+    stamped: bool = quantity(
+        True,
+        'commands are TwistStamped; false: Twist. Where all others on a topic take the other type '
+        'at the start, it is that, but for lockstep',
+    )
     wait_for: str = quantity(
         '',
         'node (a recorder) to wait for until it is subscribed: its name in the same namespace, '

@@ -28,6 +28,7 @@ from . import command_line, messages
 from .dog_commands import DogCommands
 from .duplicates import ANOTHER_CLOCK, sole_publisher
 from .herding_node import HerdingNode
+from .mismatches import Mismatches
 from .pacing import Lockstep, Pace, RealTime
 from .parameters import declare, declare_crowd
 from .publishing import (
@@ -70,6 +71,9 @@ class Sim(HerdingNode):
         self._commands = DogCommands(
             self, settings, world.dogs, world.max_speed, settings.command_timeout, self._refused
         )
+        self._mismatches = Mismatches(self)
+        if not settings.lockstep:
+            self._mismatches.follow(self._commands.inboxes)
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1, raw=True)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(SetBool, '~/pause', self._on_pause)
@@ -213,8 +217,9 @@ class Sim(HerdingNode):
             'outcome': self._run.outcome,
             'periods_skipped': skipped,
             **self._refused.report_values(),
+            **self._mismatches.report_values(),
         }
-        good = not (self._refused.counts or skipped)
+        good = not (self._refused.counts or self._mismatches.report_values() or skipped)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(

@@ -29,6 +29,8 @@ _TO_VELOCITY = 7 + 36 + 2
 _ROUNDING = 0.1
 """By how much the squared length of a quaternion may differ from 1."""
 
+_COLUMNS = ('x', 'y', 'vx', 'vy')
+
 _LARGEST_SINGLE = 1e6
 """Single precision resolves 6 cm there [m]: farther out it would not see a sheep move."""
 
@@ -62,7 +64,7 @@ def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
         raise Refused('malformed', str(error)) from None
     values: Array = np.empty((len(sheep), 4))
     with np.errstate(invalid='ignore'):  # converting some NaN warns on stderr
-        for i, name in enumerate(('x', 'y', 'vx', 'vy')):
+        for i, name in enumerate(_COLUMNS):
             values[:, i] = _column(sheep, name, 'f', 'FLOAT32 or FLOAT64')
     ids: NDArray[np.uint32] = np.arange(len(sheep), dtype=np.uint32)
     if 'id' in (sheep.dtype.names or ()):
@@ -89,13 +91,14 @@ def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
 
 
 def _check_resolution(dtype: np.dtype[np.void], values: Array) -> None:
-    """Refuse positions in single precision where that would not see a sheep move."""
-    size = float(np.abs(values[:, :2]).max())
-    if size > _LARGEST_SINGLE and np.float32 in (dtype['x'].type, dtype['y'].type):
+    """Refuse numbers in single precision where that would not see a sheep move."""
+    is_single = [dtype[name].itemsize == 4 for name in _COLUMNS]
+    size = float(np.abs(values[:, is_single]).max(initial=0.0))
+    if size > _LARGEST_SINGLE:
         raise Refused(
             'too large',
-            f'sheep positions in FLOAT32 must be at most {_LARGEST_SINGLE:g} m, got {size:g} m, '
-            f'which it resolves to {np.spacing(np.float32(size)):g} m; send FLOAT64',
+            f'sheep in FLOAT32 must be at most {_LARGEST_SINGLE:g} [m, m/s], got {size:g}, '
+            f'which it resolves to {np.spacing(np.float32(size)):g}; send FLOAT64',
         )
 
 
