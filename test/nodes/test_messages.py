@@ -369,7 +369,7 @@ def test_far_from_the_origin_sheep_need_double_precision() -> None:
 
 
 def test_what_is_not_read_may_be_anything() -> None:
-    """NaN as the height of sheep, dogs and goals, and in covariances, says 'not known'."""
+    """A NaN as the height of sheep, dogs and goals, and in covariances, says 'not known'."""
     assert len(messages.sheep_in(points_with(12, number(math.nan)), 'map', 3).ids) == 3
     odometry = deserialize_message(ODOMETRY, Odometry)
     odometry.pose.pose.position.z = math.nan
