@@ -31,8 +31,6 @@ Bags of `ros2 bag record -s mcap` are recovered too, those in sqlite3 are not.
 Example: recover runs/2025-01-31_12-00-00/bag
 """
 
-_MOST_FAULTS = 10
-
 
 def main(args: list[str] | None = None) -> int:
     """Run the program. Returns 0, or 2 when there is no bag or it cannot be written."""
@@ -79,7 +77,7 @@ def _line(file: Inspection) -> str:
     if not file.faults:
         return f'{name}: whole, {count} messages'
     recovered = f'{count} messages recovered; the original is {name}{BROKEN}'
-    return '\n    '.join([f'{name}: {recovered}', *file.faults[:_MOST_FAULTS]])
+    return '\n    '.join([f'{name}: {recovered}', *file.faults])
 
 
 if __name__ == '__main__':

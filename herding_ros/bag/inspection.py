@@ -22,7 +22,6 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import (
-    Attachment,
     Channel,
     Chunk,
     ChunkIndex,
@@ -50,6 +49,9 @@ from .metadata import (
 Open = Callable[[Path], BinaryIO]
 """Opens a file for reading; the caller may give one that shows how far it has been read."""
 
+MOST_FAULTS = 10
+"""So many of what is wrong with a file are noted; a hostile one could have millions."""
+
 MOST_BYTES = 16 * 1024 * 1024
 """No record is read that is larger, nor a chunk that is when decompressed [byte]."""
 
@@ -57,6 +59,12 @@ _MOST_ENTRIES = 4 * 1024 * 1024
 """No record but messages and what holds such is read that is larger [byte]."""
 
 _LARGE = {Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT}
+
+_MOST_OF_TOPICS = 8 * 1024 * 1024
+"""What all topics and types of a file may take, and not much more than the file [byte]."""
+
+_OF_TOPIC = 500
+"""What each of them is counted for besides its own size [byte]."""
 
 _RATIO = 100
 """The chunks of a file are at most so many times as large as the file up to them, and 16 MiB."""
@@ -72,7 +80,6 @@ _IN_CHUNKS: dict[int, Any] = {Opcode.CHANNEL: Channel, Opcode.SCHEMA: Schema}
 
 _KINDS: dict[int, Any] = {
     **_IN_CHUNKS,
-    Opcode.ATTACHMENT: Attachment,
     Opcode.CHUNK: Chunk,
     Opcode.CHUNK_INDEX: ChunkIndex,
     Opcode.DATA_END: DataEnd,
@@ -115,7 +122,8 @@ class _Exact(BytesIO):
 def records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
     """Yield the records of a file up to its footer; those in a chunk follow it, if it is whole.
 
-    Records behind one that is not whole are not searched for. What is wrong is added to `faults`.
+    Records behind one that is not whole are not searched for. What is wrong is added to `faults`,
+    as long as they are few.
     """
     end = stream.seek(len(MCAP0_MAGIC))
     unpacked = work = 0  # of what is in chunks: bytes, records
@@ -136,18 +144,23 @@ def records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
                             raise ValueError('it has too many records for its size')
                 except ValueError as error:
                     lost = end - record.start
-                    faults.append(f'the chunk of {lost} bytes at byte {record.start}: {error}')
+                    _note(faults, f'the chunk of {lost} bytes at byte {record.start}: {error}')
                 else:
                     yield from _split(BytesIO(data), _IN_CHUNKS)
             elif record.opcode == Opcode.FOOTER:
                 if stream.read(len(MCAP0_MAGIC) + 1) != MCAP0_MAGIC:
-                    faults.append(f'what follows byte {end} is not the end of an mcap file')
+                    _note(faults, f'what follows byte {end} is not the end of an mcap file')
                 return
         raise ValueError('it ends without an index')
     except ValueError as error:
         lost = _used(stream, end)
         what = f'the {lost} bytes from byte {end} on are lost: {error}'
-        faults.append(what if lost else f'it ends at byte {end}, without an index')
+        _note(faults, what if lost else f'it ends at byte {end}, without an index')
+
+
+def _note(faults: list[str], fault: str) -> None:
+    if len(faults) < MOST_FAULTS:
+        faults.append(fault)
 
 
 def _used(stream: BinaryIO, start: int) -> int:
@@ -231,10 +244,10 @@ def _decompressed(chunk: Chunk) -> bytes:
 class Inspection:
     """What was found in a file.
 
-    faults: why it is not whole, empty if it is; schemas, channels: by their number in the file;
-    profiles: the QoS profiles of each channel; metadata: the last of rosbag2's maps in the file,
-    as YAML; compression: of the chunks, '', lz4 or zstd; profile: of the file's header;
-    information: what a bag lists of the file.
+    faults: why it is not whole, the first ten, empty if it is; schemas, channels: by their number
+    in the file; profiles: the QoS profiles of each channel; metadata: the last of rosbag2's maps
+    in the file, as YAML; compression: of the chunks, '', lz4 or zstd; profile: of the file's
+    header; information: what a bag lists of the file.
     """
 
     path: Path
@@ -265,22 +278,24 @@ def inspect(path: Path, opening: Open = open_file) -> Inspection:
         # One that begins with zeros was reserved by a recorder that was killed.
         if not MCAP0_MAGIC.startswith(stream.read(len(MCAP0_MAGIC)).rstrip(b'\0')):
             raise ValueError(f'{path} is not an mcap file')
-        most_topics = 1000 + stream.seek(0, 2) // 1000
+        room = min(_MOST_OF_TOPICS, 1_000_000 + stream.seek(0, 2))
         for record in records(stream, found.faults):
             tally.add(record)
             content = record.content
-            if isinstance(content, Schema):
-                found.schemas.setdefault(content.id, content)
-            elif isinstance(content, Channel) and len(found.channels) < most_topics:
-                found.channels.setdefault(content.id, content)
+            if isinstance(content, Schema | Channel):
+                known: Any = found.schemas if isinstance(content, Schema) else found.channels
+                if content.id not in known:
+                    room -= record.end - record.start + _OF_TOPIC
+                    if room >= 0:
+                        known[content.id] = content
             elif isinstance(content, Metadata) and content.name == RECORD_NAME:
                 found.metadata = content.metadata.get(RECORD_KEY, '')
             elif isinstance(content, Chunk):
                 found.compression = content.compression
             elif isinstance(content, Header):
                 found.profile = content.profile
-    if len(found.channels) == most_topics:
-        found.faults.append(f'it must have fewer than {most_topics} topics')
+    if room < 0:
+        _note(found.faults, 'it has more of topics than a bag of its size may')
     if not found.faults and not tally.is_described:
         found.faults.append('its index is not that of its data')
     _add_topics(found, tally)
@@ -292,23 +307,24 @@ def _add_topics(found: Inspection, tally: _Tally) -> None:
     for number, channel in list(found.channels.items()):
         schema = found.schemas.get(channel.schema_id)
         if schema is None:
-            found.faults.append(f'it lacks the type of {channel.topic}')
+            _note(found.faults, f'it lacks the type of {channel.topic!r:.80}')
             del found.channels[number]
             continue
         try:
             profiles = read_profiles(channel.metadata.get(PROFILES_KEY, ''))
         except ValueError as error:
-            found.faults.append(f'the QoS profiles of {channel.topic} are lost: {error}')
+            _note(found.faults, f'the QoS profiles of {channel.topic!r:.80} are lost: {error}')
             profiles = []
         found.profiles[number] = profiles
         type_hash = channel.metadata.get(HASH_KEY, '')
         found.information.add_topic(channel.topic, schema.name, profiles, type_hash)
         found.information.counts[channel.topic] += tally.counts[number]
     found.information.message_count = found.information.counts.total()
-    if found.information.message_count:
-        found.information.first_ns, found.information.last_ns = tally.first_ns, tally.last_ns
+    full = [number for number in found.channels if tally.counts[number]]
+    found.information.first_ns = min((tally.first_ns[number] for number in full), default=0)
+    found.information.last_ns = max((tally.last_ns[number] for number in full), default=0)
     if lost := tally.counts.total() - found.information.message_count:
-        found.faults.append(f'it lacks the topics of {lost} messages')
+        _note(found.faults, f'it lacks the topics of {lost} messages')
 
 
 class _Tally:
@@ -319,16 +335,16 @@ class _Tally:
 
     def __init__(self) -> None:
         self.counts: Counter[int] = Counter()  # messages by channel
-        self.first_ns = 2**64
-        self.last_ns = 0
+        self.first_ns: dict[int, int] = {}  # log times by channel
+        self.last_ns: dict[int, int] = {}
         self.is_described = False
         self._agrees = True
         self._chunk: Record | None = None
         self._entries: dict[int, bytearray] = defaultdict(bytearray)  # of the chunk, by channel
         self._offsets: dict[int, int] = {}  # of their indexes in the file
         self._chunks = self._indexes = 0  # hashes
-        self._topics: dict[tuple[int, int], object] = {}
-        self._repeated: dict[tuple[int, int], object] = {}  # those of the summary
+        self._topics: dict[tuple[int, int], int] = {}  # hashes
+        self._repeated: dict[tuple[int, int], int] = {}  # those of the summary
         self._data_end = 0
         self._summary_offsets = 0  # where they begin
         self._statistics: Statistics | None = None
@@ -337,14 +353,15 @@ class _Tally:
         """Take the next record of a file."""
         content = record.content
         if isinstance(content, Message):
-            self.counts[content.channel_id] += 1
-            self.first_ns = min(self.first_ns, content.log_time)
-            self.last_ns = max(self.last_ns, content.log_time)
+            channel, time_ns = content.channel_id, content.log_time
+            self.counts[channel] += 1
+            self.first_ns[channel] = min(time_ns, self.first_ns.get(channel, time_ns))
+            self.last_ns[channel] = max(time_ns, self.last_ns.get(channel, time_ns))
             if self._chunk:
-                self._entries[content.channel_id] += _ENTRY.pack(content.log_time, record.start)
+                self._entries[channel] += _ENTRY.pack(time_ns, record.start)
         elif isinstance(content, Schema | Channel):
             topics = self._repeated if self._data_end else self._topics
-            topics[record.opcode, content.id] = content
+            topics[record.opcode, content.id] = hash(repr(content))
         elif isinstance(content, Chunk):
             self._end_chunk()
             self._chunk = record
@@ -393,7 +410,7 @@ class _Tally:
             and (
                 not self.counts
                 or (said.message_start_time, said.message_end_time)
-                == (self.first_ns, self.last_ns)
+                == (min(self.first_ns.values()), max(self.last_ns.values()))
             )
         )
 

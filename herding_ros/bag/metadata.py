@@ -233,7 +233,7 @@ def from_yaml(string: str) -> Any:
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > _DEEPEST or count > min(_MOST_EVENTS, 10 + len(string) // 6):
                 raise ValueError(f'must have fewer values, nested at most {_DEEPEST} deep')
-        return yaml.load(string, yaml.CBaseLoader)
+        return yaml.CBaseLoader(string).get_single_data()
     except yaml.YAMLError as error:
         raise ValueError(' '.join(str(error).split())) from error
 

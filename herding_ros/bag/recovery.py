@@ -12,7 +12,7 @@ from pathlib import Path
 import re
 from typing import Any, NamedTuple
 
-from mcap.records import Attachment, Message, Metadata
+from mcap.records import Message
 from mcap.writer import CompressionType, Writer
 
 from .inspection import inspect, Inspection, Open, open_file, records
@@ -173,7 +173,7 @@ def _rewrite(file: Inspection, metadata: str, opening: Open) -> None:
 
 
 def _copy(file: Inspection, mcap: Writer, opening: Open) -> None:
-    """Copy all topics, and then what is whole of the rest."""
+    """Copy all topics, and then the messages that are whole."""
     schemas = {
         number: mcap.register_schema(schema.name, schema.encoding, schema.data)
         for number, schema in file.schemas.items()
@@ -194,13 +194,6 @@ def _copy(file: Inspection, mcap: Writer, opening: Open) -> None:
                 mcap.add_message(
                     *(channels[content.channel_id], content.log_time, content.data),
                     *(content.publish_time, content.sequence),
-                )
-            elif isinstance(content, Metadata) and content.name != RECORD_NAME:
-                mcap.add_metadata(content.name, content.metadata)
-            elif isinstance(content, Attachment):
-                mcap.add_attachment(
-                    *(content.create_time, content.log_time, content.name),
-                    *(content.media_type, content.data),
                 )
 
 

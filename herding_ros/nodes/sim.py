@@ -47,6 +47,9 @@ _PERIODS_PER_MARKER = 5
 _DIAGNOSTICS_PERIOD = 0.5
 """Wall time between two messages on /diagnostics [s]."""
 
+_TIME_TO_BE_ASKED = 2.0
+"""Wall time after a run in which a recorder may still ask for parameters [s]."""
+
 
 class Sim(HerdingNode):
     """A herd behind the topics of real sheep trackers and robots."""
@@ -124,6 +127,7 @@ class Sim(HerdingNode):
         self._run.change_crowd(crowd)
         if isinstance(self._pace, RealTime):
             self._pace.set_factor(settings.real_time_factor)
+        self._notice_change()
 
     def _on_goal(self, data: bytes) -> None:
         try:
@@ -158,12 +162,21 @@ class Sim(HerdingNode):
     def _advance(self, u: Array) -> None:
         self._run.advance(u)
         if self._run.finished:
-            self.get_logger().info(self._run.outcome)
-        self._publish_state()
+            log = self.get_logger()
+            if self._run.failed:
+                log.error(f'{self._run.outcome}; change crowd.* or call ~/reset')
+            else:
+                log.info(self._run.outcome)
+        if not self._run.failed:
+            self._publish_state()
         if self._run.finished:
             self._publish_diagnostics()
             if self._settings.end_when_finished:
-                self.ended.set_result(None)
+                self.create_timer(_TIME_TO_BE_ASKED, self._end, clock=self._wall)
+
+    def _end(self) -> None:
+        if self._run.finished:  # still: a moved goal continues the run
+            self.ended.set_result(None)
 
     def _publish_state(self) -> None:
         simulation, frame = self._run.simulation, self._settings.frame
@@ -197,11 +210,13 @@ class Sim(HerdingNode):
             'spread_m': float(spread(simulation.state.x)),
             'arrived': simulation.arrived,
             'finished': self._run.finished,
+            'outcome': self._run.outcome,
             'periods_skipped': skipped,
             **self._refused.report_values(),
         }
         good = not (self._refused.counts or skipped)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
+        level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(
             messages.diagnostics(
                 self.status_name('herd'), simulation.nanoseconds, level, self._doing, values

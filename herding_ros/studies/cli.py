@@ -69,7 +69,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add(
         '--scheduler', metavar='ADDRESS',
-        help='compute on the workers of this Dask scheduler, with the same herding_ros installed',
+        help='compute on the workers of this Dask scheduler, with the same herding_ros installed; '
+        'scheduler and workers run whatever anyone who reaches them sends',
     )  # fmt: skip
     add(
         '--out', type=Path, metavar='DIR', default=Path('studies'),
