@@ -303,7 +303,8 @@ class Storm:
         lines = [line for line in self.process.log.splitlines() if 'refused a message' in line]
         said = Counter(line.split('refused a message (')[1].split('): ')[0] for line in lines)
         assert set(said) == set(self.counted())
-        by_cause = {key for key in said if 'wrong frame' in key or 'goal_pose' in key}
+        by_cause = {key for key in said if key.endswith(('wrong frame', 'wrong fields'))}
+        by_cause |= {key for key in said if key.startswith('goal_pose')}
         assert all(said[key] == 1 for key in set(said) - by_cause)
         assert len(self.process.log) < 20_000, self.process.log[-3000:]
 

@@ -104,10 +104,10 @@ def _check_resolution(dtype: np.dtype[np.void], values: Array) -> None:
 
 def _column(sheep: NDArray[np.void], name: str, kinds: str, allowed: str) -> NDArray[np.generic]:
     if name not in (sheep.dtype.names or ()):
-        raise Refused('wrong fields', f'sheep must have a field {name} of type {allowed}')
+        raise Refused('wrong fields', f'sheep must have a field {name} of type {allowed}', name)
     if sheep.dtype[name].kind not in kinds:
-        kind = sheep.dtype[name]
-        raise Refused('wrong fields', f'field {name} must be of type {allowed}, got {kind}')
+        reason = f'field {name} must be of type {allowed}, got {sheep.dtype[name]}'
+        raise Refused('wrong fields', reason, name)
     column: NDArray[np.generic] = sheep[name]
     return column
 
