@@ -18,7 +18,7 @@ setup(
     maintainer=about['maintainer'].text,
     maintainer_email=about['maintainer'].get('email'),
     packages=find_packages(include=[name, name + '.*']),
-    package_data={name: ['py.typed', 'nodes/fastdds.xml', 'studies/pages/*.md']},
+    package_data={name: ['py.typed', 'nodes/fastdds*.xml', 'studies/pages/*.md']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + name]),
         ('share/' + name, ['package.xml']),

@@ -30,8 +30,8 @@ from rosbags.highlevel import AnyReader
 from herding_ros.bag.metadata import read_metadata
 from herding_ros.control.lead import lead_at
 from herding_ros.control.parameters import Horizon
+from herding_ros.nodes.middleware import start_ros
 from herding_ros.nodes.progress import Watcher
-from herding_ros.nodes.running import start_ros
 from herding_ros.nodes.supervision import Child
 from herding_ros.report.style import legend, new, save
 

@@ -63,8 +63,8 @@ class Problem:
         """The cost of where the sheep are."""
         control = Control()
         times = np.arange(self.steps + 1.0) * DT
-        wanted = reference(control.reference, self.coarse.state, np.array(GOAL), times)
-        return Tracking(control.weights.centre, control.weights.spread, wanted)
+        target = reference(control.reference, self.coarse.state, np.array(GOAL), times)
+        return Tracking(control.weights.centre, control.weights.spread, target)
 
     @cached_property
     def objective(self) -> Objective:

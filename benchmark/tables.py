@@ -148,7 +148,7 @@ def direct_forces(results: Results) -> str:
     return table(
         {
             'N': entry['sheep'],
-            'wanted': f'{entry["accuracy"]:g}',
+            'accuracy': f'{entry["accuracy"]:g}',
             'error': f'{entry["error"]:.1e}',
             **_mesh(entry),
             'ours [ms]': median(entry['seconds'], 1e-3),
@@ -160,9 +160,9 @@ def direct_forces(results: Results) -> str:
 
 
 def crossover(results: Results) -> str:
-    """Return times of a rollout with direct sums over those with a plan."""
+    """Return times of a rollout with direct sums over those with a mesh."""
     return table(
-        {'N': entry['sheep'], 'direct / planned': Quartiles.of(entry['ratios'])}
+        {'N': entry['sheep'], 'direct / mesh': Quartiles.of(entry['ratios'])}
         for entry in results.of('crossover')
     )
 

@@ -41,9 +41,9 @@ class Race:
         intervals = round(horizon / control.horizon.control_period)
         self.start = np.zeros((intervals, len(state.d), 2))
         times = np.arange(intervals * control.horizon.substeps + 1.0) * control.horizon.dt
-        wanted = reference(control.reference, state, goal, times)
+        target = reference(control.reference, state, goal, times)
         self.objective = Objective(
-            [*weighted_costs(control.weights, wanted), ControlEffort(control.weights.control)]
+            [*weighted_costs(control.weights, target), ControlEffort(control.weights.control)]
         )
         self.target = -np.inf
         optimiser = control.optimiser

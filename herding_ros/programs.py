@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import errno
 from functools import partial
+import gc
 from importlib import import_module
 import io
 import os
@@ -23,14 +24,23 @@ INTERRUPTED = 130
 _UNREAD = (errno.EPIPE, errno.EIO)
 
 
-def _run(name: str, module: str, interrupted: int = INTERRUPTED) -> int:
-    """Run a program; until it takes care of signals itself, one ends it with that exit code."""
+def _run(
+    name: str, module: str, interrupted: int = INTERRUPTED, help_module: str | None = None
+) -> int:
+    """Run a program; until it takes care of signals itself, one ends it with that exit code.
+
+    `help_module` can answer `--help` before the program is loaded.
+    """
     guard_output()
     signals = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.getsignal(number) for number in signals}
     for number in signals:
         signal.signal(number, partial(_leave, name, interrupted))
+    gc.disable()  # to look for garbage in what is being loaded takes a tenth of the time
+    if help_module is not None:
+        import_module(f'herding_ros.{help_module}').answer_help(name)
     main = import_module(f'herding_ros.{module}').main
+    gc.enable()
     for number, handler in before.items():
         signal.signal(number, handler)
     try:
@@ -72,9 +82,9 @@ class _Unbreakable(io.FileIO):
 
 
 # A node that was asked to end has done its work.
-sim = partial(_run, 'sim', 'nodes.sim', 0)
-controller = partial(_run, 'controller', 'nodes.controller', 0)
-recorder = partial(_run, 'recorder', 'nodes.recorder', 0)
+sim = partial(_run, 'sim', 'nodes.sim', 0, 'nodes.command_line')
+controller = partial(_run, 'controller', 'nodes.controller', 0, 'nodes.command_line')
+recorder = partial(_run, 'recorder', 'nodes.recorder', 0, 'nodes.command_line')
 herd = partial(_run, 'herd', 'nodes.herd')
 recover = partial(_run, 'recover', 'bag.cli')
 report = partial(_run, 'report', 'report.cli')

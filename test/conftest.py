@@ -74,11 +74,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 class RunRecorder:
     """Writes what the nodes publish in a run into a bag, made with rosbags' messages."""
 
-    def __init__(self, path: Path, parameters: dict[str, Any] | None = None) -> None:
-        parameters = parameters or {}
-        self.bag = BagWriter(
-            path, {'herding_ros_version': '9.8.7', 'parameters': json.dumps(parameters)}
-        )
+    def __init__(
+        self, path: Path, parameters: dict[str, Any] | None = None, **custom_data: str
+    ) -> None:
+        custom_data['herding_ros_version'] = '9.8.7'
+        custom_data['parameters'] = json.dumps(parameters or {})
+        self.bag = BagWriter(path, custom_data)
         self.log_ns = 0
         self.publish_ns = 1_700_000_000_000_000_000
 
@@ -101,9 +102,9 @@ class RunRecorder:
         package, kind = name.split('/')
         return STORE.types[f'{package}/msg/{kind}'](**fields)
 
-    def header(self, ns: int) -> Any:
+    def header(self, ns: int, frame: str = 'map') -> Any:
         stamp = self.make('builtin_interfaces/Time', sec=ns // 10**9, nanosec=ns % 10**9)
-        return self.make('std_msgs/Header', stamp=stamp, frame_id='map')
+        return self.make('std_msgs/Header', stamp=stamp, frame_id=frame)
 
     def pose(self, at: Any) -> Any:
         return self.make(
@@ -121,7 +122,8 @@ class RunRecorder:
         self, topic: str, ns: int, x: Any, v: Any, ids: Any = None, dtype: np.dtype[Any] = CLOUD
     ) -> None:
         points = np.zeros(len(x), dtype)
-        points['id'] = np.arange(len(x)) if ids is None else ids
+        if 'id' in (dtype.names or ()):
+            points['id'] = np.arange(len(x)) if ids is None else ids
         points['x'], points['y'] = np.transpose(x)
         points['vx'], points['vy'] = np.transpose(v)
         kinds = {('u', 4): 6, ('f', 4): 7, ('f', 8): 8}
@@ -169,9 +171,14 @@ class RunRecorder:
         header, twist = self.header(ns), self.twist(u)
         self.write(topic, self.make('geometry_msgs/TwistStamped', header=header, twist=twist))
 
-    def goal(self, ns: int, at: Any) -> None:
-        header, pose = self.header(ns), self.pose(at)
-        self.write('/goal_pose', self.make('geometry_msgs/PoseStamped', header=header, pose=pose))
+    def goal(self, ns: int, at: Any, topic: str = '/goal_pose', frame: str = 'map') -> None:
+        header, pose = self.header(ns, frame), self.pose(at)
+        self.write(topic, self.make('geometry_msgs/PoseStamped', header=header, pose=pose))
+
+    def advertise(self, topic: str, name: str) -> None:
+        """Record that there is a topic, without a message."""
+        definition, _ = STORE.generate_msgdef(name, ros_version=2)
+        self.bag.add_topic(topic, name, definition, [], STORE.hash_rihs01(name))
 
     def diagnostics(self, name: str, ns: int, **values: Any) -> None:
         status = self.make(

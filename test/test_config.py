@@ -15,9 +15,7 @@ from herding_ros.control.parameters import Control, CONTROLS, PAPER
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
-from herding_ros.nodes.controller import ControllerSettings
-from herding_ros.nodes.settings import ControlPreset
-from herding_ros.nodes.sim import SimSettings
+from herding_ros.nodes.settings import ControllerSettings, ControlPreset, SimSettings
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 FILES = sorted(CONFIG.glob('*.yaml'))
@@ -55,18 +53,10 @@ NODES: dict[str, dict[str, Any]] = {
 }
 
 
-def sections(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the flat parameters of each section of a file."""
+def values_in(path: Path) -> dict[str, Any]:
+    """Return what a file tells all nodes, flat; each takes what it declares."""
     content = yaml.safe_load(path.read_text(encoding='utf-8'))
-    for name, section in content.items():
-        assert list(section) == ['ros__parameters'], f'{path.name}: {name} lacks ros__parameters'
-    return {name: dict(flat(section['ros__parameters'])) for name, section in content.items()}
-
-
-def values_for(path: Path, node: str) -> dict[str, Any]:
-    """Return what a node takes of a file: its own section over the common one."""
-    content = sections(path)
-    return {**content.get('/**', {}), **content.get(node, {})}
+    return dict(flat(content['/**']['ros__parameters']))
 
 
 def is_of_type(value: Any, default: Any) -> bool:
@@ -81,56 +71,48 @@ def test_there_are_files() -> None:
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
+def test_it_applies_in_every_namespace_and_yields_to_the_command_line(path: Path) -> None:
+    """A section `sim` is that of /sim alone; that, or one of /**/sim, would win over -p."""
+    content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    assert list(content) == ['/**']
+    assert list(content['/**']) == ['ros__parameters']
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
 def test_every_name_and_type_is_one_that_a_node_declares(path: Path) -> None:
-    for section, values in sections(path).items():
-        assert section in {'/**', *NODES}, f'{path.name} has a section {section}'
-        nodes = list(NODES.values()) if section == '/**' else [NODES[section]]
-        for name, value in values.items():
-            if QOS.fullmatch(name):
-                continue
-            declared = [{**OF_EVERY_NODE, **node} for node in nodes]
-            takers = [node[name] for node in declared if name in node]
-            assert takers, f'{path.name}: {section} has {name}, which nobody declares'
-            for default in takers:
-                assert is_of_type(value, default), (
-                    f'{path.name}: {section} has {name}: {value!r}, '
-                    f'it must be a {type(default).__name__} such as {default!r}'
-                )
+    for name, value in values_in(path).items():
+        if QOS.fullmatch(name):
+            continue
+        declared = [{**OF_EVERY_NODE, **node} for node in NODES.values()]
+        takers = [node[name] for node in declared if name in node]
+        assert takers, f'{path.name} has {name}, which nobody declares'
+        for default in takers:
+            assert is_of_type(value, default), (
+                f'{path.name} has {name}: {value!r}, '
+                f'it must be a {type(default).__name__} such as {default!r}'
+            )
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
 def test_the_values_are_allowed(path: Path) -> None:
-    sim, controller = values_for(path, 'sim'), values_for(path, 'controller')
-    with_values(SimSettings(), sim)
-    with_values(World(), sim)
-    with_values(ControllerSettings(), controller)
-    with_values(CONTROLS[controller.get('preset', 'default')], controller)
-    for values in (sim, controller):
-        with_values(CROWDS[values.get('crowd.preset', 'cohesive')], values, 'crowd.')
-
-
-@pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
-def test_sim_and_controller_are_told_the_same(path: Path) -> None:
-    """What both of them declare stands under /** if both are in the file."""
-    content = sections(path)
-    if 'sim' not in content:
-        return
-    shared = set(NODES['sim']) & set(NODES['controller'])
-    assert not shared & (set(content['sim']) | set(content.get('controller', {})))
+    values = values_in(path)
+    for defaults in (SimSettings(), World(), ControllerSettings()):
+        with_values(defaults, values)
+    with_values(CONTROLS[values.get('preset', 'default')], values)
+    with_values(CROWDS[values.get('crowd.preset', 'cohesive')], values, 'crowd.')
 
 
 def test_the_paper_s_setting_is_that_of_the_code() -> None:
-    values = values_for(CONFIG / 'paper.yaml', 'controller')
+    values = values_in(CONFIG / 'paper.yaml')
     assert with_values(CONTROLS[values['preset']], values) == PAPER
     crowd = with_values(CROWDS[values['crowd.preset']], values, 'crowd.')
     assert crowd == CROWDS['cohesive']
 
 
 def test_the_reference_run_is_that_of_the_defaults() -> None:
-    path = CONFIG / 'herding.yaml'
-    sim, controller = values_for(path, 'sim'), values_for(path, 'controller')
-    assert with_values(World(), sim) == World()
-    assert with_values(Control(), controller) == Control()
-    assert with_values(Crowd(), sim, 'crowd.') == Crowd()
-    judged_at = with_values(SimSettings(), sim).goal
-    assert judged_at == with_values(ControllerSettings(), controller).goal == SimSettings().goal
+    values = values_in(CONFIG / 'herding.yaml')
+    assert with_values(World(), values) == World()
+    assert with_values(Control(), values) == Control()
+    assert with_values(Crowd(), values, 'crowd.') == Crowd()
+    judged_at = with_values(SimSettings(), values).goal
+    assert judged_at == with_values(ControllerSettings(), values).goal == SimSettings().goal

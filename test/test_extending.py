@@ -30,12 +30,14 @@ POTENTIAL, FENCE, ACCELERATING, SPACING, BORDER, POLICY = PROGRAMS
 
 
 @pytest.fixture
-def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+def run(cache: pytest.Cache, capsys: pytest.CaptureFixture[str]) -> Run:
     """Return a function that runs a program: the names it leaves, and the lines it prints."""
 
     def run(program: str) -> tuple[dict[str, Any], list[list[str]]]:
-        path = tmp_path / 'program.py'
-        path.write_text(program, encoding='utf-8')
+        # Numba keeps what it compiles for a program as long as the file does not change.
+        path = cache.mkdir('extending') / f'program_{PROGRAMS.index(program)}.py'
+        if not path.exists() or path.read_text(encoding='utf-8') != program:
+            path.write_text(program, encoding='utf-8')
         names = runpy.run_path(str(path))
         return names, [line.split() for line in capsys.readouterr().out.splitlines()]
 
@@ -87,6 +89,9 @@ def test_a_potential(run: Run) -> None:
     curvature = (bark.derivative(r + h) - bark.derivative(r - h)) / (2.0 * h)
     np.testing.assert_allclose(bark.derivative(r), slope, rtol=0, atol=1e-9)
     np.testing.assert_allclose(bark.second_derivative(r), curvature, rtol=0, atol=1e-8)
+    herd, u = herd_and_control()
+    crowd = Crowd(dog=names['Gaussian'](0.01, 0.5))  # kernels know it by a table
+    assert gradient_order(CoarseModel(crowd, herd, 0.05), u, 5e-4) > 1.9
 
 
 def test_a_fence(run: Run) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -44,6 +45,52 @@ def test_importing_the_package_loads_no_model() -> None:
         [sys.executable, '-c', program], capture_output=True, text=True, check=True
     )
     assert out.stdout.split() == ['False', 'False']
+
+
+def test_compiled_packages_are_kept_in_our_environment() -> None:
+    """Else each start of a program compiles NumPy, SciPy and Numba anew, for 2 s."""
+    told = 'python -c "import sys; print(sys.dont_write_bytecode)"'
+    out = subprocess.run(
+        ['bash', '-c', f'. {ROOT}/scripts/env 2>/dev/null; {told}'],
+        env={**os.environ, 'PYTHONDONTWRITEBYTECODE': '1'},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert out.stdout.split() == ['False']
+
+
+@pytest.mark.skipif(not (ROOT / 'install').exists(), reason='needs scripts/setup here')
+def test_programs_are_found_in_our_environment() -> None:
+    """Once, however often it is sourced."""
+    script = f'. {ROOT}/scripts/env; . {ROOT}/scripts/env; which -a sim controller report'
+    out = subprocess.run(['bash', '-c', script], capture_output=True, text=True, check=True)
+    assert [Path(line).name for line in out.stdout.split()] == ['sim', 'controller', 'report']
+
+
+def requirements(name: str) -> dict[str, str]:
+    """Return what a file of requirements says of each package, without hashes and comments."""
+    text = (ROOT / name).read_text(encoding='utf-8').replace('\\\n', ' ')
+    lines = [re.split(r'\s#|\s--hash', line)[0].strip() for line in text.splitlines()]
+    lines = [line.split(';')[0].strip() for line in lines if line[:1].isalpha()]
+    return {re.split('[=<>]', line)[0].lower(): line.lower() for line in lines}
+
+
+@pytest.mark.parametrize(
+    ('lock', 'sources'),
+    [
+        ('requirements.lock', ['requirements.txt', 'requirements-ros.txt']),
+        ('requirements-cluster.lock', ['requirements-cluster.txt']),
+        ('requirements-audit.lock', ['requirements-audit.txt']),
+    ],
+)
+def test_every_requirement_is_locked(lock: str, sources: list[str]) -> None:
+    """At the version that it is pinned to; and nothing in a lock is without a hash."""
+    locked = requirements(lock)
+    for name, wanted in [pair for source in sources for pair in requirements(source).items()]:
+        assert name in locked, f'{name}: run scripts/lock'
+        assert '==' not in wanted or locked[name] == wanted, f'{wanted}: run scripts/lock'
+    text = (ROOT / lock).read_text(encoding='utf-8').replace('\\\n', ' ')
+    entries = [line for line in text.splitlines() if line[:1].isalpha()]
+    assert all('==' in entry and '--hash=sha256:' in entry for entry in entries)
 
 
 def test_the_version_is_that_of_the_manifest() -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-import dataclasses
 import importlib
 from pathlib import Path
 import re
@@ -20,10 +19,12 @@ from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import World
-from herding_ros.nodes import recorder
-from herding_ros.nodes.controller import ControllerSettings
-from herding_ros.nodes.settings import ControlPreset
-from herding_ros.nodes.sim import SimSettings
+from herding_ros.nodes.settings import (
+    ControllerSettings,
+    ControlPreset,
+    RecorderSettings,
+    SimSettings,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'herding_ros'
@@ -39,19 +40,19 @@ HEAD: Row = ('name', 'default', 'unit', 'allowed', 'meaning')
 def rows(
     defaults: Parameters, prefix: str = '', others: dict[str, Any] | None = None
 ) -> Iterator[Row]:
-    """Yield a row for each field; a default that differs in one of `others` is named as well."""
-    for field in dataclasses.fields(defaults):
-        value = getattr(defaults, field.name)
-        there = {name: getattr(other, field.name) for name, other in (others or {}).items()}
-        if isinstance(value, Parameters):
-            yield from rows(value, f'{prefix}{field.name}.', there)
-            continue
+    """Yield a row for each value; a default that differs in one of `others` is named as well."""
+    there = {key: other.flat(prefix) for key, other in (others or {}).items()}
+    for name, value, field in defaults.walk(prefix):
         default = written(value)
-        different = [f'`{name}`: {written(each)}' for name, each in there.items() if each != value]
+        different = [
+            f'`{key}`: {written(values[name])}'
+            for key, values in there.items()
+            if values[name] != value
+        ]
         if different:
             default += f' ({", ".join(different)})'
         unit = field.metadata['unit']
-        yield prefix + field.name, default, unit, describe_limits(field), field.metadata['doc']
+        yield name, default, unit, describe_limits(field), field.metadata['doc']
 
 
 def crowd_rows() -> Iterator[Row]:
@@ -63,22 +64,6 @@ def crowd_rows() -> Iterator[Row]:
 def control_rows() -> Iterator[Row]:
     yield from rows(ControlPreset())
     yield from rows(Control(), others=CONTROLS)
-
-
-def recorder_rows() -> Iterator[Row]:
-    """Yield a row for each parameter; the recorder declares them in its constructor."""
-    source = ast.parse(Path(recorder.__file__).read_text(encoding='utf-8'))
-    calls = [node for node in ast.walk(source) if isinstance(node, ast.Call)]
-    for call in sorted(calls, key=lambda call: call.lineno):
-        if ast.unparse(call.func) != 'self._declare':
-            continue
-        name, default, meaning = call.args
-        if isinstance(default, ast.Call):  # a name made from the time
-            default = default.args[0]
-        kinds = {list: 'texts', str: 'a text', int: 'an integer of at least 0'}
-        allowed = kinds[type(ast.literal_eval(default))]
-        unquoted = ast.unparse(default).strip("'")
-        yield ast.literal_eval(name), f'`{unquoted}`', '', allowed, ast.literal_eval(meaning)
 
 
 def written(value: Any) -> str:
@@ -110,7 +95,7 @@ def section() -> str:
         table('sim: the node', rows(SimSettings())),
         table('controller: the node', rows(ControllerSettings())),
         table('controller: the method', control_rows()),
-        table('recorder', recorder_rows()),
+        table('recorder', rows(RecorderSettings())),
     ]
     return '\n' + '\n'.join(tables) + '\n'
 
@@ -131,12 +116,6 @@ def test_the_parameter_tables_are_those_of_the_code() -> None:
         f'run `python test/test_pages.py`, or put this between the comments in {PARAMETERS}:\n'
         + expected
     )
-
-
-def test_the_recorder_has_the_parameters_that_the_table_looks_for() -> None:
-    assert [row[0] for row in recorder_rows()] == [
-        *('bag', 'topics', 'max_bag_size', 'max_bag_duration')
-    ]
 
 
 def test_the_readme_is_short() -> None:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nothing in the sources turns data into code."""
 
 from __future__ import annotations

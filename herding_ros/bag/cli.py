@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from .inspection import Inspection
-from .metadata import all_topics, FILE_NAME
+from .metadata import FILE_NAME, total_counts
 from .recovery import BROKEN, recover, Recovery
 
 _DESCRIPTION = """\
@@ -62,7 +62,7 @@ def _in_words(folder: Path, recovery: Recovery) -> str:
     files = [file.information for file in recovery.files]
     lines = [_line(file) for file in recovery.files]
     count = sum(file.message_count for file in files)
-    total = f'{count} messages of {len(all_topics(files))} topics'
+    total = f'{count} messages of {len(total_counts(files))} topics'
     if recovery.was_whole:
         lines.append(f'{folder} was whole: {total}; nothing was changed')
     else:
@@ -76,11 +76,8 @@ def _line(file: Inspection) -> str:
     name, count = file.path.name, file.information.message_count
     if not file.faults:
         return f'{name}: whole, {count} messages'
-    lost = f'{file.lost_bytes} bytes'
-    if file.lost_messages:
-        lost += f' and {file.lost_messages} messages whose topics were in them'
-    recovered = f'{count} messages recovered, lost {lost}; the original is {name}{BROKEN}'
-    return '\n'.join([f'{name}: {recovered}', *(f'    {fault}' for fault in file.faults)])
+    recovered = f'{count} messages recovered; the original is {name}{BROKEN}'
+    return '\n    '.join([f'{name}: {recovered}', *file.faults])
 
 
 if __name__ == '__main__':

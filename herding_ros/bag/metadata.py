@@ -8,14 +8,14 @@ yaml.hpp and qos.cpp in ROS 2 Jazzy.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
+import textwrap
 from typing import Any
 
-from mcap.records import Channel, Schema
-
-from .plain_yaml import from_yaml, to_yaml
+import yaml
 
 VERSION = 9
 """From this version on, policies are written by name and offered profiles as a sequence."""
@@ -35,47 +35,48 @@ RECORD_KEY = 'serialized_metadata'
 PROFILES_KEY = 'offered_qos_profiles'
 """Key of a channel's QoS profiles, as YAML."""
 
+HASH_KEY = 'topic_type_hash'
+"""Key of the hash of a channel's type."""
+
 ROS_DISTRO = 'jazzy'
 """Release of ROS 2 whose format and messages are written."""
 
-_POLICIES = {
-    'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
-    'reliability': ('system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
-    'durability': ('system_default', 'transient_local', 'volatile', 'unknown', 'best_available'),
-    'liveliness': (
-        *('system_default', 'automatic', 'manual_by_node', 'manual_by_topic'),
-        *('unknown', 'best_available'),
-    ),
-}
-"""Names of the policies by their numbers, which the releases before Jazzy wrote."""
+MOST_CHARACTERS = 4_000_000
+"""No longer YAML is read."""
 
-
-@dataclass
-class TopicInformation:
-    """One recorded topic.
-
-    `qos_profiles` holds one map for each publisher that offered the topic, with the keys
-    history, depth, reliability, durability, deadline, lifespan, liveliness,
-    liveliness_lease_duration (the policies by their names in small letters, the durations as
-    {sec, nsec}) and avoid_ros_namespace_conventions.
-    """
-
-    name: str
-    type: str
-    qos_profiles: Sequence[Mapping[str, Any]]
-    type_hash: str
-    message_count: int = 0
+_MOST_EVENTS = 100_000
+_DEEPEST = 32
 
 
 @dataclass
 class FileInformation:
-    """One data file: its name within the bag's folder and its messages' log times [ns]."""
+    """One data file.
+
+    path: its name within the bag's folder; topics: what the bag's map says of each, by name;
+    counts: their messages; message_count: of all topics; first_ns, last_ns: the first and last of
+    the log times [ns].
+    """
 
     path: str
+    topics: dict[str, dict[str, Any]] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
     message_count: int = 0
     first_ns: int = 0
     last_ns: int = 0
-    topics: dict[str, TopicInformation] = field(default_factory=dict)
+
+    def add_topic(
+        self, name: str, type_name: str, profiles: Sequence[Mapping[str, Any]], type_hash: str
+    ) -> None:
+        """Add a topic, unless it is there already."""
+        topic = {
+            'name': name,
+            'type': type_name,
+            'serialization_format': 'cdr',
+            'offered_qos_profiles': [dict(profile) for profile in profiles],
+            'type_description_hash': type_hash,
+        }
+        self.topics.setdefault(name, topic)
+        self.counts[name] += 0
 
     def count(self, topic: str, log_time_ns: int) -> None:
         """Take note of one message."""
@@ -83,62 +84,27 @@ class FileInformation:
         self.first_ns = log_time_ns if first else min(self.first_ns, log_time_ns)
         self.last_ns = log_time_ns if first else max(self.last_ns, log_time_ns)
         self.message_count += 1
-        self.topics[topic].message_count += 1
+        self.counts[topic] += 1
 
 
-def topic_information(channel: Channel, schema: Schema) -> TopicInformation:
-    """Return a topic by its records in a data file; its messages are not counted."""
-    profiles = offered_profiles(channel, strict=False)
-    type_hash = channel.metadata.get('topic_type_hash', '')
-    return TopicInformation(channel.topic, schema.name, profiles, type_hash)
-
-
-def offered_profiles(channel: Channel, strict: bool = True) -> list[dict[str, Any]]:
-    """Return the QoS profiles of a topic, with policies by name.
-
-    When they cannot be read: raises ValueError, or returns none if not `strict`.
-    """
-    try:
-        profiles = from_yaml(channel.metadata.get(PROFILES_KEY, '')) or []
-        if not (isinstance(profiles, list) and all(isinstance(each, dict) for each in profiles)):
-            raise ValueError('QoS profiles must be a list of maps')
-    except ValueError:
-        if strict:
-            raise
-        return []
-    return [_named(profile) for profile in profiles]
-
-
-def _named(profile: dict[str, Any]) -> dict[str, Any]:
-    """Return a QoS profile with its policies by name."""
-    for policy, names in _POLICIES.items():
-        number = profile.get(policy)
-        if isinstance(number, int):
-            profile[policy] = names[number] if 0 <= number < len(names) else 'unknown'
-    return profile
-
-
-def all_topics(files: Sequence[FileInformation]) -> dict[str, TopicInformation]:
-    """Return the topics of several files, each with the number of its messages in all."""
-    topics: dict[str, TopicInformation] = {}
+def total_counts(files: Sequence[FileInformation]) -> Counter[str]:
+    """Return the number of messages of each topic, also of those without any."""
+    counts: Counter[str] = Counter()
     for file in files:
-        for name, topic in file.topics.items():
-            count = topic.message_count + (topics[name].message_count if name in topics else 0)
-            topics[name] = replace(topics.get(name, topic), message_count=count)
-    return topics
+        counts.update(file.counts)
+    return counts
 
 
-def bag_map(
-    files: Sequence[FileInformation],
-    custom_data: Mapping[str, str],
-    ros_distro: str = ROS_DISTRO,
-    compression: tuple[str, str] = ('', ''),
-) -> dict[str, Any]:
+def bag_map(files: Sequence[FileInformation], said: Mapping[str, Any]) -> dict[str, Any]:
     """Return the map that describes a bag of these files.
 
-    `compression` is the format and the mode of what rosbag2 compresses by itself, whole files or
-    messages; that of the chunks within a file is not in the map.
+    What does not follow from them is as in the map `said`: custom data, release of ROS 2, and what
+    rosbag2 itself compressed.
     """
+    topics: dict[str, dict[str, Any]] = {}
+    for file in files:
+        topics = {**file.topics, **topics}
+    counts = total_counts(files)
     full = [file for file in files if file.message_count]
     first_ns = min((file.first_ns for file in full), default=0)
     last_ns = max((file.last_ns for file in full), default=0)
@@ -146,22 +112,13 @@ def bag_map(
         'version': VERSION,
         'storage_identifier': 'mcap',
         **_times(first_ns, last_ns),
-        'message_count': sum(file.message_count for file in files),
+        'message_count': counts.total(),
         'topics_with_message_count': [
-            {
-                'topic_metadata': {
-                    'name': topic.name,
-                    'type': topic.type,
-                    'serialization_format': 'cdr',
-                    'offered_qos_profiles': [dict(profile) for profile in topic.qos_profiles],
-                    'type_description_hash': topic.type_hash,
-                },
-                'message_count': topic.message_count,
-            }
-            for topic in all_topics(files).values()
+            {'topic_metadata': topics[name], 'message_count': count}
+            for name, count in counts.items()
         ],
-        'compression_format': compression[0],
-        'compression_mode': compression[1],
+        'compression_format': said.get('compression_format', ''),
+        'compression_mode': said.get('compression_mode', ''),
         'relative_file_paths': [file.path for file in files],
         'files': [
             {
@@ -171,8 +128,8 @@ def bag_map(
             }
             for file in files
         ],
-        'custom_data': dict(custom_data) or None,
-        'ros_distro': ros_distro,
+        'custom_data': said.get('custom_data') or None,
+        'ros_distro': said.get('ros_distro') or ROS_DISTRO,
     }
 
 
@@ -201,7 +158,7 @@ def advice(folder: Path) -> str:
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """Return the map of a bag.
+    """Return the map of a bag, as `read_map` does.
 
     Raises FileNotFoundError when there is none or the bag has a data file that is not in it,
     ValueError when it does not describe a bag.
@@ -214,10 +171,12 @@ def read_metadata(folder: Path) -> dict[str, Any]:
             )
         raise FileNotFoundError(f'{folder} is not a bag: there is no {FILE_NAME}')
     try:
-        content = dict(from_yaml(file.read_text(encoding='utf-8'))[ROOT_KEY])
-        listed = file_names(content)
-    except (KeyError, TypeError, ValueError) as error:
+        with file.open(encoding='utf-8') as stream:
+            content = _read(from_yaml(stream.read(MOST_CHARACTERS + 1)), {ROOT_KEY: _BAG}, '')
+    except ValueError as error:
         raise ValueError(f'{file} does not describe a bag: {error}') from error
+    content = content[ROOT_KEY]
+    listed = file_names(content)
     unlisted = sorted(path.name for path in folder.glob('*.mcap') if path.name not in listed)
     if unlisted:
         raise FileNotFoundError(
@@ -231,7 +190,6 @@ def file_names(content: Mapping[str, Any]) -> list[str]:
     """Return the names of the data files in a bag's map.
 
     The folders in their paths do not count: a bag is read from its own folder and nowhere else.
-    Raises KeyError or TypeError when they are not there.
     """
     return [PurePath(path).name for path in content['relative_file_paths']]
 
@@ -240,3 +198,159 @@ def string_map(content: object) -> dict[str, str]:
     """Return custom data as strings, nothing if it is not a map."""
     items = content.items() if isinstance(content, Mapping) else ()
     return {str(key): str(value) for key, value in items}
+
+
+# Reading YAML, whatever a stranger wrote.
+
+
+class _Dumper(yaml.CSafeDumper):
+    """Writes an object that occurs twice twice: rosbag2's readers expect no aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def to_yaml(data: Any) -> str:
+    """Return data as YAML in block style, keys in their order, no line ever folded."""
+    width = 2**31 - 1
+    return yaml.dump(data, None, _Dumper, default_flow_style=False, sort_keys=False, width=width)
+
+
+def from_yaml(string: str) -> Any:
+    """Return what is in a string: lists, maps and, for all else, strings; None if it is empty.
+
+    Time and memory are linear in its length. Raises ValueError when it is not YAML, is too long
+    or too deep, or has aliases.
+    """
+    if len(string) > MOST_CHARACTERS:
+        raise ValueError(f'must have at most {MOST_CHARACTERS} characters')
+    depth = 0
+    try:
+        for count, event in enumerate(yaml.parse(string, yaml.CBaseLoader)):
+            if isinstance(event, yaml.AliasEvent):
+                raise ValueError(f'must have no aliases, got one{event.start_mark}')
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > _DEEPEST or count > min(_MOST_EVENTS, 10 + len(string) // 6):
+                raise ValueError(f'must have fewer values, nested at most {_DEEPEST} deep')
+        return yaml.CBaseLoader(string).get_single_data()
+    except yaml.YAMLError as error:
+        raise ValueError(' '.join(str(error).split())) from error
+
+
+def read_map(string: str) -> dict[str, Any]:
+    """Return the map of a bag from YAML, whatever its version, with the types of version 9.
+
+    Raises ValueError when it does not describe a bag.
+    """
+    content: dict[str, Any] = _read(from_yaml(string), _BAG, '')
+    return content
+
+
+def read_profiles(content: str | list[Any]) -> list[dict[str, Any]]:
+    """Return the QoS profiles of a topic from YAML, in the words of version 9.
+
+    The releases before Jazzy wrote numbers for the policies. Raises ValueError when there is
+    anything else.
+    """
+    listed = from_yaml(content) or [] if isinstance(content, str) else content
+    profiles: list[dict[str, Any]] = _read(listed, [_PROFILE], PROFILES_KEY)
+    return profiles
+
+
+def _read(content: Any, form: Any, name: str) -> Any:
+    """Return what was read from YAML in its form: maps, lists and what to make of other values.
+
+    Keys that end with a question mark may be missing, and others be there. Raises ValueError.
+    """
+    if isinstance(form, dict):
+        if not isinstance(content, dict):
+            raise ValueError(f'{name or "it"} must be a map')
+        result = dict(content)
+        for key in form:
+            word = key.removesuffix('?')
+            if word in content:
+                result[word] = _read(content[word], form[key], word)
+            elif key == word:
+                raise ValueError(f'{name or "it"} must have {word}')
+        return result
+    if isinstance(form, list):
+        if not isinstance(content, list):
+            raise ValueError(f'{name} must be a list')
+        return [_read(each, form[0], name) for each in content]
+    try:
+        return form(content)
+    except (TypeError, ValueError) as error:
+        given = textwrap.shorten(str(content), 50)
+        raise ValueError(f'{name} cannot be {given!r}') from error
+
+
+def _text(content: Any) -> str:
+    if not isinstance(content, str):
+        raise TypeError
+    return content
+
+
+def _boolean(content: Any) -> bool:
+    return {'true': True, 'false': False}.get(content, False)
+
+
+def _policy(*names: str) -> Callable[[Any], str]:
+    """Return what makes the name of a policy of its number."""
+
+    def read(content: Any) -> str:
+        if not _text(content).isdecimal():
+            return _text(content)
+        number = int(content)
+        return names[number] if number < len(names) else 'unknown'
+
+    return read
+
+
+_NANOSECONDS = {
+    'duration': {'nanoseconds': int},
+    'starting_time': {'nanoseconds_since_epoch': int},
+}
+
+_LIMIT = {'sec': int, 'nsec': int}
+
+_PROFILE = {
+    'history': _policy('system_default', 'keep_last', 'keep_all', 'unknown'),
+    'depth': int,
+    'reliability': _policy(
+        'system_default', 'reliable', 'best_effort', 'unknown', 'best_available'
+    ),
+    'durability': _policy(
+        'system_default', 'transient_local', 'volatile', 'unknown', 'best_available'
+    ),
+    'deadline': _LIMIT,
+    'lifespan': _LIMIT,
+    'liveliness': _policy(
+        *('system_default', 'automatic', 'manual_by_node', 'manual_by_topic'),
+        *('unknown', 'best_available'),
+    ),
+    'liveliness_lease_duration': _LIMIT,
+    'avoid_ros_namespace_conventions': _boolean,
+}
+
+_TOPIC = {
+    'name': _text,
+    'type': _text,
+    'serialization_format': _text,
+    'offered_qos_profiles?': read_profiles,
+    'type_description_hash?': _text,
+}
+
+_BAG = {
+    'version': int,
+    'storage_identifier': _text,
+    **_NANOSECONDS,
+    'message_count': int,
+    'topics_with_message_count': [{'topic_metadata': _TOPIC, 'message_count': int}],
+    'compression_format?': _text,
+    'compression_mode?': _text,
+    'relative_file_paths': [_text],
+    'files?': [{'path': _text, **_NANOSECONDS, 'message_count': int}],
+    'custom_data?': lambda content: string_map(content) or None,
+    'ros_distro?': _text,
+}

@@ -3,46 +3,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import suppress
 import fcntl
 import json
 import os
 from pathlib import Path
 import re
-from typing import Any, BinaryIO
+from typing import Any, NamedTuple
 
-from mcap.records import Attachment, Chunk, DataEnd, McapRecord, Message, Metadata
+from mcap.records import Message
 from mcap.writer import CompressionType, Writer
 
-from .inspection import inspect, Inspection, Open, open_file
+from .inspection import inspect, Inspection, Open, open_file, records
 from .metadata import (
     bag_map,
     FILE_NAME,
-    offered_profiles,
     PROFILES_KEY,
+    read_map,
     read_metadata,
     RECORD_KEY,
     RECORD_NAME,
-    ROS_DISTRO,
-    string_map,
-    VERSION,
+    to_yaml,
     write_metadata,
 )
-from .plain_yaml import from_yaml, to_yaml
-from .records import DamageError, records, records_in
 
 BROKEN = '.broken'
 """What the name of a file ends with that was replaced by a whole one."""
 
-_PARTIAL = '.partial'
-_CHUNK_SIZE = 1024 * 1024
-_COMPRESSIONS = {'lz4': CompressionType.LZ4, 'zstd': CompressionType.ZSTD}
 
-
-@dataclass(frozen=True)
-class Recovery:
+class Recovery(NamedTuple):
     """What became of a bag.
 
     files: what was found in the data files, in their order; those with faults were replaced;
@@ -78,9 +68,9 @@ def recover(folder: Path, opening: Open = open_file) -> Recovery:
     content = _bag_map(files, old)
     for file in broken:
         _rewrite(file, to_yaml(content), opening)
-    is_new = not _describes_the_same(old, content)
+    is_new = not _says_the_same(old, content)
     if is_new:
-        if (folder / FILE_NAME).exists():
+        if os.path.lexists(folder / FILE_NAME):
             _check_names_are_free([folder / FILE_NAME])
             _keep(folder / FILE_NAME)
         write_metadata(folder, content)
@@ -90,11 +80,11 @@ def recover(folder: Path, opening: Open = open_file) -> Recovery:
 def _data_files(folder: Path) -> list[Path]:
     """Return the data files of a bag in the order of their numbers; raises ValueError."""
     if not folder.is_dir():
-        what = 'is a file; give the folder it is in' if folder.is_file() else 'does not exist'
+        what = 'is a file; give the folder it is in' if folder.exists() else 'does not exist'
         raise ValueError(f'{folder} {what}')
     for broken in (*folder.glob('*.mcap' + BROKEN), *folder.glob(FILE_NAME + BROKEN)):
         original = broken.with_name(broken.name.removesuffix(BROKEN))
-        if not original.exists():  # an earlier recovery was ended half-way
+        if not os.path.lexists(original):  # an earlier recovery was ended half-way
             broken.rename(original)
     paths = sorted(folder.glob('*.mcap'), key=_number)
     if not paths:
@@ -120,7 +110,7 @@ def _number(path: Path) -> tuple[int, str]:
 def _check_names_are_free(paths: Sequence[Path]) -> None:
     for path in paths:
         kept = path.with_name(path.name + BROKEN)
-        if kept.exists():
+        if os.path.lexists(kept):
             raise FileExistsError(f'{kept} exists already and is not overwritten; move it away')
 
 
@@ -132,66 +122,58 @@ def _bag_map(files: Sequence[Inspection], old: dict[str, Any]) -> dict[str, Any]
     """
     said = old
     for file in files:
-        with suppress(TypeError, ValueError):
-            said = dict(from_yaml(file.metadata)) if file.metadata else said
-    hashes: dict[str, str] = {}
-    with suppress(AttributeError, KeyError, TypeError):
-        for each in said['topics_with_message_count']:
-            topic = each['topic_metadata']
-            hashes[topic['name']] = str(topic.get('type_description_hash', ''))
-    listed = [file.information for file in files]
-    for topic in [topic for file in listed for topic in file.topics.values()]:
-        topic.type_hash = topic.type_hash or hashes.get(topic.name, '')
-    keys = ('compression_format', 'compression_mode')
-    return bag_map(
-        listed,
-        string_map(said.get('custom_data')),
-        str(said.get('ros_distro') or ROS_DISTRO),
-        (str(said.get(keys[0]) or ''), str(said.get(keys[1]) or '')),
-    )
+        with suppress(ValueError):
+            said = read_map(file.metadata) if file.metadata else said
+    hashes = {
+        each['topic_metadata']['name']: each['topic_metadata'].get('type_description_hash', '')
+        for each in said.get('topics_with_message_count', ())
+    }
+    for topic in [topic for file in files for topic in file.information.topics.values()]:
+        topic['type_description_hash'] = (
+            topic['type_description_hash'] or hashes.get(topic['name'], '')
+        )  # fmt: skip
+    return bag_map([file.information for file in files], said)
 
 
-def _describes_the_same(old: dict[str, Any], new: dict[str, Any]) -> bool:
-    """Whether a map says what the new one says.
-
-    Those of versions before this one have other words for the same; of them it is enough that
-    they list the same files with as many messages.
-    """
-    if old.get('version') == VERSION:
-        return _in_order(old) == _in_order(new)
-    keys = ('storage_identifier', 'relative_file_paths', 'message_count', 'starting_time')
-    return old.get('version') in range(1, VERSION) and all(old.get(k) == new[k] for k in keys)
+def _says_the_same(old: dict[str, Any], new: dict[str, Any]) -> bool:
+    """Whether a map of any version says what the new one says; the older ones say less."""
+    return bool(old) and _in_order({**new, **old, 'version': new['version']}) == _in_order(new)
 
 
 def _in_order(content: dict[str, Any]) -> dict[str, Any]:
     """Return a map with its topics in the order of their names, each as JSON."""
-    topics = content.get('topics_with_message_count') or []
+    topics = [
+        {**each, 'topic_metadata': {'type_description_hash': '', **each['topic_metadata']}}
+        for each in content['topics_with_message_count']
+    ]
     in_order = sorted(json.dumps(topic, sort_keys=True) for topic in topics)
     return {**content, 'topics_with_message_count': in_order}
 
 
 def _rewrite(file: Inspection, metadata: str, opening: Open) -> None:
     """Replace a file by a copy of what is whole in it."""
-    unfinished = file.path.with_name(file.path.name + _PARTIAL)
-    with _new_file(unfinished) as target:
-        mcap = Writer(
-            target,
-            chunk_size=_CHUNK_SIZE,
-            compression=_COMPRESSIONS.get(file.compression, CompressionType.NONE),
-        )
-        mcap.start(profile=file.profile, library='herding_ros recover')
-        with opening(file.path) as source:
-            _copy(file, source, mcap)
-        mcap.add_metadata(RECORD_NAME, {RECORD_KEY: metadata})
-        mcap.finish()
-        target.flush()
-        os.fsync(target.fileno())
+    unfinished = file.path.with_name(file.path.name + '.partial')
+    unfinished.unlink(missing_ok=True)  # a link there would lead out of the folder
+    try:
+        with unfinished.open('xb') as target:
+            known = CompressionType.__members__
+            compression = known.get(file.compression.upper(), CompressionType.NONE)
+            mcap = Writer(target, compression=compression, enable_data_crcs=True)
+            mcap.start(profile=file.profile, library='herding_ros recover')
+            _copy(file, mcap, opening)
+            mcap.add_metadata(RECORD_NAME, {RECORD_KEY: metadata})
+            mcap.finish()
+            target.flush()
+            os.fsync(target.fileno())
+    except BaseException:
+        unfinished.unlink(missing_ok=True)
+        raise
     _keep(file.path)
     unfinished.rename(file.path)
 
 
-def _copy(file: Inspection, source: BinaryIO, mcap: Writer) -> None:
-    """Copy what is whole in a data section."""
+def _copy(file: Inspection, mcap: Writer, opening: Open) -> None:
+    """Copy all topics, and then the messages that are whole."""
     schemas = {
         number: mcap.register_schema(schema.name, schema.encoding, schema.data)
         for number, schema in file.schemas.items()
@@ -201,48 +183,18 @@ def _copy(file: Inspection, source: BinaryIO, mcap: Writer) -> None:
             channel.topic,
             channel.message_encoding,
             schemas[channel.schema_id],
-            {**channel.metadata, PROFILES_KEY: to_yaml(offered_profiles(channel, strict=False))},
+            {**channel.metadata, PROFILES_KEY: to_yaml(file.profiles[number])},
         )
-        for number, channel in file.known_channels.items()
+        for number, channel in file.channels.items()
     }
-    for record in _whole_records(source):
-        if isinstance(record, Message) and record.channel_id in channels:
-            mcap.add_message(
-                *(channels[record.channel_id], record.log_time, record.data),
-                *(record.publish_time, record.sequence),
-            )
-        elif isinstance(record, Metadata) and record.name != RECORD_NAME:
-            mcap.add_metadata(record.name, record.metadata)
-        elif isinstance(record, Attachment):
-            mcap.add_attachment(
-                *(record.create_time, record.log_time, record.name),
-                *(record.media_type, record.data),
-            )
-
-
-def _whole_records(source: BinaryIO) -> Iterator[McapRecord]:
-    """Yield the records of a data section up to the damage, those of whole chunks one by one."""
-    with suppress(DamageError):
-        for _, _, record in records(source):
-            if isinstance(record, DataEnd):
-                return
-            if isinstance(record, Chunk):
-                with suppress(DamageError):
-                    yield from [found.record for found in records_in(record)]
-            else:
-                yield record
-
-
-@contextmanager
-def _new_file(path: Path) -> Iterator[Any]:
-    """Open a file that is removed when something goes wrong."""
-    path.unlink(missing_ok=True)
-    with path.open('xb') as stream:
-        try:
-            yield stream
-        except BaseException:
-            path.unlink()
-            raise
+    with opening(file.path) as source:
+        for record in records(source, []):
+            content = record.content
+            if isinstance(content, Message) and content.channel_id in channels:
+                mcap.add_message(
+                    *(channels[content.channel_id], content.log_time, content.data),
+                    *(content.publish_time, content.sequence),
+                )
 
 
 def _keep(path: Path) -> None:

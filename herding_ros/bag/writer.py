@@ -4,21 +4,52 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+import fcntl
 import os
 from pathlib import Path
 import shutil
 from types import TracebackType
 from typing import Any
 
+from mcap.writer import CompressionType, Writer
+
+from .inspection import MOST_BYTES
 from .metadata import (
-    all_topics,
     bag_map,
     FileInformation,
-    TopicInformation,
+    HASH_KEY,
+    PROFILES_KEY,
+    RECORD_KEY,
+    RECORD_NAME,
+    to_yaml,
+    total_counts,
     write_metadata,
 )
-from .part import PartWriter
-from .plain_yaml import to_yaml
+
+CHUNK_SIZE = 64 * 1024
+"""Size of a chunk [byte]. A kill loses the chunk being filled, so it is small."""
+
+LARGEST_MESSAGE = MOST_BYTES - 1024 * 1024
+"""No larger message could be read back [byte]."""
+
+LAST_TIME_NS = 2**63 - 1
+"""Times in a bag are from 0 to this one [ns]."""
+
+RESERVE = 1024 * 1024
+"""Room that is taken from the disk at a time [byte]."""
+
+_MESSAGE = 31 + 16
+"""What a message takes besides its data: its record's head and an entry in the chunk's index."""
+
+_CHUNK = 49 + 73
+"""What a chunk takes besides its records: its head and an entry in the file's index."""
+
+_CHANNEL = 15 + 10
+"""What each topic takes in each chunk: the head of its index and an entry in the file's index."""
+
+_END = 4096
+"""What completes a file of no messages and no topics."""
 
 
 class BagWriter:
@@ -30,7 +61,7 @@ class BagWriter:
     `close()` still makes what was written a complete bag, if the disk was full.
     """
 
-    _part: PartWriter
+    _part: _File
 
     def __init__(
         self,
@@ -63,7 +94,7 @@ class BagWriter:
         self._custom_data = dict(custom_data or {})
         self._max_size = max_size
         self._max_duration_ns = max_duration_ns
-        self._topics: dict[str, tuple[TopicInformation, str]] = {}  # with their definitions
+        self._topics: dict[str, tuple[Any, ...]] = {}  # what `add_topic` was given, by name
         self._files: list[FileInformation] = []  # the last one is that of the open part
         self._earlier_size = 0  # of the files before the open one
         self._closed = False
@@ -97,7 +128,7 @@ class BagWriter:
     @property
     def topics(self) -> dict[str, int]:
         """Number of messages written, by topic."""
-        return {name: topic.message_count for name, topic in all_topics(self._files).items()}
+        return dict(total_counts(self._files))
 
     def add_topic(
         self,
@@ -110,16 +141,19 @@ class BagWriter:
         """Add a topic, before its first message.
 
         `type_name` is of the form package/msg/Type, `definition` its own with those of the
-        types it uses (see `definitions.message_definition`), `qos_profiles` as in
-        `TopicInformation`, `type_hash` of the form RIHS01_<hexadecimal digits>.
+        types it uses (see `definitions.message_definition`), `type_hash` of the form
+        RIHS01_<hexadecimal digits>. `qos_profiles` are one map for each publisher, with the keys
+        history, depth, reliability, durability, deadline, lifespan, liveliness,
+        liveliness_lease_duration (the policies by their names in small letters, the durations as
+        {sec, nsec}) and avoid_ros_namespace_conventions.
 
         Raises ValueError when the topic is there already, OSError when the disk refuses.
         """
         if name in self._topics:
             raise ValueError(f'topic {name!r} is in the bag {self.path} already')
-        topic = TopicInformation(name, type_name, qos_profiles, type_hash)
-        self._part.add_topic(topic, definition)
-        self._topics[name] = topic, definition
+        topic = name, type_name, definition, qos_profiles, type_hash
+        self._part.add_topic(*topic)
+        self._topics[name] = topic
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Append one message in CDR, with its times [ns].
@@ -165,13 +199,13 @@ class BagWriter:
         return too_long or 0 < self._max_size <= self._part.size
 
     def _open_part(self) -> None:
-        part = PartWriter(self.path / f'{self.path.name}_{len(self._files)}.mcap')
+        part = _File(self.path / f'{self.path.name}_{len(self._files)}.mcap')
         if self._files:
             self._earlier_size += self._part.size
         self._part = part
         self._files.append(part.information)
-        for topic, definition in self._topics.values():
-            part.add_topic(topic, definition)
+        for topic in self._topics.values():
+            part.add_topic(*topic)
         if self._custom_data:
             part.write_metadata(to_yaml(self._bag_map()))
 
@@ -180,4 +214,130 @@ class BagWriter:
         write_metadata(self.path, self._bag_map())
 
     def _bag_map(self) -> dict[str, Any]:
-        return bag_map(self._files, self._custom_data)
+        return bag_map(self._files, {'custom_data': self._custom_data})
+
+
+class _File:
+    """A new data file.
+
+    Before anything is accepted, the room for it and for what completes the file is taken from the
+    disk; so a full disk is an OSError before anything is written, after which `finish()` still
+    works. Until then the file has up to `RESERVE` zero bytes at its end.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.information = FileInformation(path.name)
+        self._path = path
+        self._stream = path.open('xb')
+        with suppress(OSError):  # some network disks have no locks
+            fcntl.flock(self._stream, fcntl.LOCK_EX)  # so that `recover` leaves it alone
+        self._mcap = Writer(
+            self._stream,
+            chunk_size=2**62,  # flush() alone ends them
+            compression=CompressionType.NONE,
+            enable_data_crcs=True,
+        )
+        self._schemas: dict[str, int] = {}  # message type -> id in the file
+        self._channels: dict[str, int] = {}  # topic -> id in the file
+        self._chunk = 0  # bytes of the open chunk
+        self._final = 0  # at most: bytes of the file if it were completed now
+        self._reserved = 0  # bytes that the disk has given
+        self._broken = False  # the disk refused what it had room for: nothing may follow
+        try:
+            self._take(_END)
+            self._mcap.start(profile='ros2', library='herding_ros')
+            self._written = self._stream.tell()
+        except OSError:
+            self._stream.close()
+            path.unlink()
+            raise
+
+    @property
+    def size(self) -> int:
+        """Size of the file [byte]; until it is finished, without what completes it."""
+        return self._written + self._chunk
+
+    def add_topic(
+        self,
+        name: str,
+        type_name: str,
+        definition: str,
+        qos_profiles: Sequence[Mapping[str, Any]],
+        type_hash: str,
+    ) -> None:
+        """Add a topic, see `BagWriter.add_topic`."""
+        profiles = to_yaml([dict(profile) for profile in qos_profiles])
+        # Twice here, and twice more in the bag's metadata, which are in the file and beside it.
+        size = len(definition.encode()) + 2 * len(profiles) + len(name + type_name) + 512
+        self._take(4 * size + _CHANNEL + self._new_chunk)
+        if type_name not in self._schemas:
+            self._schemas[type_name] = self._mcap.register_schema(
+                type_name, 'ros2msg', definition.encode()
+            )
+        self._channels[name] = self._mcap.register_channel(
+            name,
+            'cdr',
+            self._schemas[type_name],
+            {PROFILES_KEY: profiles, HASH_KEY: type_hash},
+        )
+        self._chunk += size
+        self.information.add_topic(name, type_name, qos_profiles, type_hash)
+
+    def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        """Append one message, see `BagWriter.write`."""
+        size = len(data) + _MESSAGE
+        if size > LARGEST_MESSAGE:
+            most = LARGEST_MESSAGE - _MESSAGE
+            raise ValueError(f'a message must have at most {most} bytes, got {len(data)}')
+        for time in (log_time_ns, publish_time_ns):
+            if not 0 <= time <= LAST_TIME_NS:
+                raise ValueError(f'times must be 0 to {LAST_TIME_NS} ns, got {time}')
+        self._take(size + self._new_chunk)
+        self._mcap.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
+        self._chunk += size
+        self.information.count(topic, log_time_ns)
+        if self._chunk >= CHUNK_SIZE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand everything to the operating system. Raises OSError."""
+        self._broken = True
+        self._mcap.flush()
+        self._stream.flush()
+        self._broken = False
+        self._written, self._chunk = self._stream.tell(), 0
+
+    def write_metadata(self, text: str) -> None:
+        """Put the bag's metadata, as YAML, into the file at once. Raises OSError."""
+        self._take(3 * (len(text.encode()) + 512))  # now, when it is completed, and beside it
+        self._broken = True
+        self._mcap.add_metadata(RECORD_NAME, {RECORD_KEY: text})
+        self.flush()
+
+    def finish(self, metadata: str) -> None:
+        """Complete the file with the bag's metadata and close it. A second call does nothing.
+
+        Raises OSError when the file had to be left as it was.
+        """
+        if self._stream.closed:
+            return
+        if self._broken:
+            self._stream.raw.close()  # without what it still holds
+            raise OSError(f'{self._path} could not be completed')
+        with self._stream:
+            self._mcap.add_metadata(RECORD_NAME, {RECORD_KEY: metadata})
+            self._mcap.finish()
+            self._written, self._chunk = self._stream.truncate(), 0
+
+    @property
+    def _new_chunk(self) -> int:
+        """What a chunk takes besides its records, if the next record begins one."""
+        return 0 if self._chunk else _CHUNK + len(self._channels) * _CHANNEL
+
+    def _take(self, more: int) -> None:
+        """Make sure that `more` bytes can be written and the file completed. Raises OSError."""
+        if self._final + more > self._reserved:
+            room = self._final + more + RESERVE - self._reserved
+            os.posix_fallocate(self._stream.fileno(), self._reserved, room)
+            self._reserved += room
+        self._final += more

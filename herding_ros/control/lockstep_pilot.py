@@ -7,6 +7,7 @@ import numpy as np
 
 from herding_ros.model.state import HerdState
 
+from .parameters import check_lockstep
 from .pilot import Announcement, Condition, Decision, Observed, Pilot, Planner
 from .schedule import Request, ScheduledPlan
 
@@ -27,10 +28,16 @@ class LockstepPilot(Pilot):
     def _start_afresh(self) -> None:
         super()._start_afresh()
         self._plan = None
+        self._last_stamp: int | None = None
+        self._is_period_known = False
 
     def decide(self, observed: Observed) -> Decision:
-        """Return the command for an observation of all dogs."""
+        """Return the command for an observation of all dogs.
+
+        Raises OutOfStepError when the second one shows that the world has another period.
+        """
         t = self._advance_to(observed.t)
+        self._check_period(observed.stamp)
         self._visible = observed.dogs
         state = self._observe(observed).state
         announcement = None
@@ -42,6 +49,14 @@ class LockstepPilot(Pilot):
         stand = np.zeros((self.dogs, 2))
         command = stand if self._plan is None else self._plan.velocities(t, self.dogs)
         return self._decision(command, announcement)
+
+    def _check_period(self, stamp: int) -> None:
+        """Compare the first two observations: a command holds from one to the next."""
+        last, self._last_stamp = self._last_stamp, stamp
+        if last is None or stamp <= last or self._is_period_known:
+            return
+        self._is_period_known = True
+        check_lockstep(self._control.horizon.control_period, (stamp - last) * 1e-9)
 
     def condition(self, t: float) -> Condition:
         """Return what the pilot is doing at t [s]."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter extraction: the coarse control that moves the flock's centre as wanted."""
+"""Parameter extraction: the coarse control that moves the flock's centre to a target."""
 
 from __future__ import annotations
 

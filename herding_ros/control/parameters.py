@@ -4,13 +4,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
-
-if TYPE_CHECKING:
-    from herding_ros.model.simulation import World
 
 
 @dataclass(frozen=True)
@@ -115,12 +111,16 @@ class Horizon(Parameters):
         return self.control_period / self.substeps
 
 
-def check_lockstep(horizon: Horizon, world: World) -> None:
-    """Raise ValueError unless a command is as long to the controller as to the world."""
-    if abs(horizon.control_period / world.control_period - 1.0) > 1e-6:
-        raise ValueError(
-            'Horizon.control_period must be World.dt * World.substeps, '
-            f'got {horizon.control_period:g} s and {world.control_period:g} s'
+class OutOfStepError(ValueError):
+    """Raised when controller and world cannot be in lockstep."""
+
+
+def check_lockstep(control_period: float, world_period: float) -> None:
+    """Raise OutOfStepError unless a command lasts as long as the world waits for one [s]."""
+    if abs(control_period / world_period - 1.0) > 1e-6:
+        raise OutOfStepError(
+            'horizon.control_period of the controller must be dt * substeps of the sim in '
+            f'lockstep, {world_period:g} s, got {control_period:g} s'
         )
 
 
@@ -207,6 +207,22 @@ class Sensor(Parameters):
         'standard deviation of observed velocities that is filtered out; 0: they are exact',
         'm/s',
         low=0.0,
+    )
+
+
+@dataclass(frozen=True)
+class Timing(Parameters):
+    """How far ahead a pilot plans, and how long it waits."""
+
+    lead: float = quantity(
+        2.0, 'time before its window at which a plan is begun, not in lockstep', 's', low=0.0
+    )
+    state_timeout: float = quantity(
+        1.0,
+        'not in lockstep, observations older than this do not count: without sheep the dogs '
+        'stop, without its odometry a dog is left out of the plans',
+        's',
+        low=TINY,
     )
 
 

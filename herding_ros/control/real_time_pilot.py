@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
 
 import numpy as np
 
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.parameters import Parameters, quantity, TINY
 from herding_ros.model.state import HerdState
 
 from .background import Run, run_in_thread, StepTimes, Work
-from .parameters import MOST_INTERVALS
+from .parameters import MOST_INTERVALS, Timing
 from .pilot import (
     Announcement,
     Clock,
@@ -29,22 +27,6 @@ from .solution import NoTimeFor
 
 _SPARE = 0.1
 """Part of the lead that a solve leaves: /clock may arrive late, and a plan be taken late."""
-
-
-@dataclass(frozen=True)
-class Timing(Parameters):
-    """How far ahead a pilot plans, and how long it waits."""
-
-    lead: float = quantity(
-        2.0, 'time before its window at which a plan is begun, not in lockstep', 's', low=0.0
-    )
-    state_timeout: float = quantity(
-        1.0,
-        'not in lockstep, observations older than this do not count: without sheep the dogs '
-        'stop, without its odometry a dog is left out of the plans',
-        's',
-        low=TINY,
-    )
 
 
 class RealTimePilot(Pilot):

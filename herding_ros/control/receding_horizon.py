@@ -110,13 +110,13 @@ class RecedingHorizon:
         coarse = self.coarse_model(state)
         with clock.phase('coarse'):
             solution, costs = self._solve_coarse(coarse, t, partial(no_time_for, 'coarse'))
-            wanted = centre(coarse.rollout(solution.u).x)
+            target = centre(coarse.rollout(solution.u).x)
         expected: list[Expectation] = []
         extraction_calls = 0
         if not control.mapping.max_iterations:
-            mapping = MappingResult(solution.u, wanted, Status.CONVERGED)
+            mapping = MappingResult(solution.u, target, Status.CONVERGED)
         elif no_time_for(FINE):
-            mapping = MappingResult(solution.u, wanted, Status.OUT_OF_TIME)
+            mapping = MappingResult(solution.u, target, Status.OUT_OF_TIME)
         else:
             out_of_time = partial(no_time_for, EXTRACTION)
             extraction = ParameterExtraction(
@@ -129,7 +129,7 @@ class RecedingHorizon:
                 return expected[-1].centre
 
             def misfit(output: Array) -> float:
-                return float(np.sqrt(horizon.dt * np.square(output - wanted).sum()))
+                return float(np.sqrt(horizon.dt * np.square(output - target).sum()))
 
             problem = MappingProblem(clock.timing('fine', fine), misfit, solution.u)
             mapping = self._map(problem, extraction, coarse, clock, no_time_for)

@@ -31,8 +31,8 @@ _SINGULAR = 1e-10
 class MappingProblem:
     """What a space mapping is to correct.
 
-    fine: from a control to the fine model's output; misfit: how far an output is from the wanted
-    one; u_coarse: the coarse optimum u_c, from which a mapping starts.
+    fine: from a control to the fine model's output; misfit: how far an output is from the
+    target; u_coarse: the coarse optimum u_c, from which a mapping starts.
     """
 
     fine: Callable[[Array], Array]
@@ -170,16 +170,16 @@ def output_mapping(
 ) -> MappingResult:
     """Find u_f whose fine output is that of u_coarse in the coarse model, by defect correction.
 
-    The coarse model plus the defect fine(u) - coarse(u) seen at the best u so far is a better
+    The coarse model plus the defect fine(u) - coarse(u) at the best u so far is a better
     coarse model: match(target, u, damping) returns the admissible control near u, kept there
-    by the weight damping, whose coarse output is the wanted one less that defect (output space
+    by the weight damping, whose coarse output is the target less that defect (output space
     mapping; Echeverria and Hemker 2005 on defect correction). Where the aggressive mapping
     mirrors a control that is at its limit, and loses what leaves the admissible set, each step
     here respects the limits. The damping falls tenfold after a success and rises tenfold after
     a failure (Levenberg and Marquardt). Ends when the misfit is at most the budget's tolerance.
     """
     fine, misfit, u_coarse = problem.fine, problem.misfit, problem.u_coarse
-    wanted = coarse(u_coarse)
+    target = coarse(u_coarse)
     best = u_coarse
     best_output = fine(best)
     misfits = [misfit(best_output)]
@@ -190,7 +190,7 @@ def output_mapping(
             status = Status.OUT_OF_TIME
             break
         defect = best_output - coarse(best)
-        u = match(wanted - defect, best, damping)
+        u = match(target - defect, best, damping)
         if no_time_for(FINE):
             status = Status.OUT_OF_TIME
             break

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .external_force import ExternalForce, NoForce
+from .external_form import ExternalForce, NoForce
 from .noise_field import NoiseField, NoiseFunction
 from .parameters import Parameters, quantity
 from .potentials import Morse, Potential

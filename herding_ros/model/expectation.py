@@ -121,7 +121,7 @@ class ExpectedCentre:
         self._levels = estimator.levels(fine)
         self._noise = noise
         self._fine = fine
-        self._wanted, self._most = standard_error, most
+        self._standard_error, self._most = standard_error, most
         self._threads = threads or os.cpu_count() or 1
         self._paths: list[int] = []
 
@@ -132,12 +132,12 @@ class ExpectedCentre:
         moments = [_Moments() for _ in self._levels]
         done = [0] * len(self._levels)
         with ThreadPoolExecutor(self._threads) as pool:
-            wanted = self._paths or self._pilot()
-            while any(more > have for more, have in zip(wanted, done, strict=True)):
-                for number, (have, more) in enumerate(zip(done, wanted, strict=True)):
+            needed = self._paths or self._pilot()
+            while any(more > have for more, have in zip(needed, done, strict=True)):
+                for number, (have, more) in enumerate(zip(done, needed, strict=True)):
                     self._add(moments[number], samplers[number], number, have, more, pool)
                     done[number] = max(have, more)
-                wanted = self._paths or self._allocate([each.variance for each in moments])
+                needed = self._paths or self._allocate([each.variance for each in moments])
         self._paths = done
         return Expectation(
             centre=np.asarray(
@@ -162,7 +162,7 @@ class ExpectedCentre:
         total = sum(math.sqrt(v * w) for v, w in zip(variances, works, strict=True))
         if total == 0.0:
             return [0] * len(works)
-        enough = total / self._wanted**2 if self._wanted else math.inf
+        enough = total / self._standard_error**2 if self._standard_error else math.inf
         affordable = self._most / total
         ideal = [
             min(enough, affordable) * math.sqrt(v / w)

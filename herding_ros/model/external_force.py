@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces on the sheep from the world, such as a fence's: one file for each.
+"""Forces on the sheep from the world in compiled code.
 
-A new one is a class with `kernel_form`, and two functions of a sheep's place that are given to
+A new force is a class with `kernel_form`, and two functions of a sheep's place that are given to
 `register`. Rollouts, ensembles, adjoints and large flocks take it from there: kernels are
 compiled for the form that they meet, and without one to nothing.
 """
@@ -9,10 +9,9 @@ compiled for the form that they meet, and without one to nothing.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from hashlib import sha256
 import inspect
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from numba import types
 from numba.core.cgutils import create_struct_proxy
@@ -26,40 +25,11 @@ from numba.extending import (
     unbox,
 )
 
+from .external_form import ExternalForm, Form
 from .jit import INLINED, inlined, OPTIONS
-from .parameters import Parameters
 from .state import Array
 
 _COMPILED: Any = {**OPTIONS, **INLINED}
-
-
-@dataclass(frozen=True)
-class Form:
-    """An external force in compiled code: which it is, and its numbers and arrays."""
-
-    key: str
-    values: tuple[Any, ...]
-
-
-ExternalForm = Form | tuple[()]
-"""(): no force."""
-
-
-@runtime_checkable
-class ExternalForce(Protocol):
-    """A force f(x) on each sheep [m/s^2] that depends on its place x alone."""
-
-    def kernel_form(self) -> ExternalForm:
-        """Return what the kernels need: the result of what `register` has returned."""
-
-
-@dataclass(frozen=True)
-class NoForce(Parameters):
-    """Nothing but sheep and dogs."""
-
-    def kernel_form(self) -> tuple[()]:
-        """Return the empty form."""
-        return ()
 
 
 def register(
@@ -74,8 +44,9 @@ def register(
     of a force with a potential, f = -grad W, that is the Hessian of W times w. Numba compiles
     both.
     """
-    # Numba's cache would not notice that they have changed, but it does notice a new type.
-    key = f'{name} {_digest(force_of, product_of)}'
+    # Numba's cache would not notice that they have changed, but it does notice a new type. What it
+    # has stored refers to their module by name, and cannot be loaded where that is another one.
+    key = f'{force_of.__module__}.{name} {_digest(force_of, product_of)}'
     compiled_force, compiled_product = inlined(force_of), inlined(product_of)
 
     @overload(_force, jit_options=_COMPILED)

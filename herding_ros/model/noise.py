@@ -91,10 +91,10 @@ def factor(crowd: Crowd, t: float, x: Array) -> Array:
         values = np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f'noise_field must return numbers at t = {t:g} s: {error}') from error
-    wanted = x.shape[1:]
-    if values.shape not in (wanted, ()):
+    shape = x.shape[1:]
+    if values.shape not in (shape, ()):
         raise ValueError(
-            f'noise_field must return shape {wanted} or one number at t = {t:g} s, '
+            f'noise_field must return shape {shape} or one number at t = {t:g} s, '
             f'got {values.shape}'
         )
     valid = np.isfinite(values) & (values >= 0.0)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled loops over near pairs of a large flock: sort, gradients, Hessian products.
 
-They call nothing of the other kernels, so they may stand in a file of their own. Sheep are
+They call no other kernels, and so can have a file of their own (see `kernels`). Sheep are
 sorted by cell: strips of the height of the reach, cut into narrow columns, so that all sheep of
 a strip between two columns lie side by side in memory. Arrays of sorted sheep have CHUNK unused
 entries at the end: loops over neighbours run in whole chunks, with a mask for the rest. Indices
@@ -22,10 +22,10 @@ from .state import Array
 Indices = NDArray[np.int64]
 
 CHUNK = 8
-"""Neighbours are visited so many at a time."""
+"""Number of neighbours that are processed at a time."""
 
 Near = tuple[float, ...]
-"""16 coefficients c_k: P'(r) = sum_k c_k r^k up to the reach, of what is zero beyond it."""
+"""16 coefficients c_k of the near part: P'(r) = sum_k c_k r^k up to the reach, 0 beyond it."""
 
 
 class Cells(NamedTuple):
@@ -46,7 +46,7 @@ class Cells(NamedTuple):
 def sort(x: Array, n: int, cells: Cells, order: Indices, start: Indices) -> bool:
     """Sort n sheep at x[2, :] by cell; return whether all are in the box.
 
-    order[n] gets the numbers of the sheep, start[rows * columns + 1] where each cell begins.
+    order[n] receives the indices of the sheep, start[rows * columns + 1] where each cell begins.
     """
     cell = np.empty(n, dtype=np.int64)
     start[:] = 0
@@ -98,7 +98,7 @@ def _gradient_of_chunks(
     x: Array, y: Array, bx: Array, by: Array, xi: float, yi: float, begin: int, end: int,
     shift: int, reach2: float, near: Near,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return the gradient at one sheep from those of begin to end; subtract theirs from b."""
+    """Return the gradient at a sheep due to those from begin to end; subtract reactions from b."""
     ax = 0.0
     ay = 0.0
     first, there = np.uint64(begin), np.uint64(begin - shift)
@@ -144,8 +144,8 @@ def near_gradients(
 ) -> None:  # fmt: skip
     """Add the near gradients between sheep of some rows, and between those and the next row.
 
-    ax, ay begin with the first sheep of the first row and end with the last one of the row
-    after the last, and CHUNK more. Each pair is evaluated once.
+    ax, ay hold the sheep from the first row to the row after the last, and CHUNK unused entries.
+    Each pair is evaluated once.
     """
     shift = start[rows[0] * cells.columns]
     for row in range(rows[0], rows[1]):
@@ -166,7 +166,7 @@ def _hessians_of_chunks(
     x: Array, y: Array, mu_x: Array, mu_y: Array, bx: Array, by: Array, i: int, begin: int,
     end: int, shift: int, reach2: float, near: Near,
 ) -> tuple[float, float]:  # fmt: skip
-    """Do for Hessians times (mu_i - mu_j) what `_gradient_of_chunks` does for gradients."""
+    """The same as `_gradient_of_chunks` for Hessians times (mu_i - mu_j)."""
     hx = 0.0
     hy = 0.0
     first, there = np.uint64(begin), np.uint64(begin - shift)
@@ -208,7 +208,7 @@ def near_hessians(
     x: Array, y: Array, mu_x: Array, mu_y: Array, cells: Cells, start: Indices,
     rows: tuple[int, int], reach: float, near: Near, hx: Array, hy: Array,
 ) -> None:  # fmt: skip
-    """Do for Hessians times (mu_i - mu_j) what `near_gradients` does for gradients."""
+    """The same as `near_gradients` for Hessians times (mu_i - mu_j)."""
     shift = start[rows[0] * cells.columns]
     for row in range(rows[0], rows[1]):
         for i in range(start[row * cells.columns], start[(row + 1) * cells.columns]):

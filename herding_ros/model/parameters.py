@@ -120,13 +120,16 @@ def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
     if converted is not None and _within(converted, field):
         return converted
     right_kind = type(converted) in (int, float) and math.isfinite(converted)
-    wanted = _bounds(field) if right_kind else describe_limits(field)
-    raise ValueError(f'{name} must be {wanted}, got {value!r}')
+    must_be = _bounds(field) if right_kind else describe_limits(field)
+    raise ValueError(f'{name} must be {must_be}, got {value!r}')
 
 
 def _convert(value: Any, like: Any) -> Any:
     """Return value with the type of `like`; None if that would change its meaning."""
     if isinstance(like, tuple):
+        if like and isinstance(like[0], str):  # any number of strings
+            is_strings = isinstance(value, list | tuple) and all(type(v) is str for v in value)
+            return tuple(value) if is_strings else None
         if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray | array.array):
             return None
         parts = tuple(_convert(each, part) for each, part in zip(value, like, strict=False))
@@ -142,6 +145,8 @@ def _within(value: Any, field: dataclasses.Field[Any]) -> bool:
     low, high, choices = (field.metadata[key] for key in ('low', 'high', 'choices'))
     if isinstance(value, (bool, str)):
         return not choices or value in choices
+    if isinstance(field.default, tuple) and isinstance(field.default[0], str):
+        return True
     return all(
         math.isfinite(number)
         and (low is None or number >= low)
@@ -155,7 +160,8 @@ def describe_limits(field: dataclasses.Field[Any]) -> str:
     if field.metadata['choices']:
         return ' or '.join(field.metadata['choices'])
     if isinstance(field.default, tuple):
-        kind = f'{len(field.default)} numbers'
+        is_strings = isinstance(field.default[0], str)
+        kind = 'strings' if is_strings else f'{len(field.default)} numbers'
     else:
         kinds = {float: 'a number', int: 'an integer', bool: 'true or false', str: 'a string'}
         kind = kinds[type(field.default)]

@@ -3,8 +3,8 @@
 
 Particle-particle particle-mesh (Hockney and Eastwood 1988): the potential is split as
 P = near + smooth. The near part is zero beyond a reach R and summed over pairs. The smooth part
-is P beyond R and an even polynomial within, as smooth at R as can be used (Potts and Steidl
-2003). It is summed on a mesh: sheep are spread by B-splines, convolved by FFT with the smooth
+is P beyond R and, within, an even polynomial that joins it smoothly (Potts and Steidl 2003). It
+is summed on a mesh: sheep are spread by B-splines, convolved by FFT with the smooth
 part in free space, and the field is interpolated by the same splines. The mesh's forces are the
 exact gradient of an energy, and its Hessian products their exact derivative.
 """
@@ -27,7 +27,7 @@ from .potentials import Potential
 from .state import Array
 
 _SMOOTHNESS = 8
-"""So many derivatives of the smooth part, the zeroth among them, are continuous at the reach."""
+"""Number of continuous derivatives of the smooth part at the reach, counting the zeroth."""
 _DERIVATIVES = np.array(
     [
         [Polynomial.basis(2 * power).deriv(k)(1.0) for power in range(_SMOOTHNESS)]
@@ -36,15 +36,15 @@ _DERIVATIVES = np.array(
 )
 """Row k holds the k-th derivatives of z^0, z^2, z^4, ... at z = 1."""
 _COLUMNS = 16
-"""Columns of the cells in a length of the reach."""
+"""Columns of cells per reach."""
 _WRAP = 12
-"""Mesh points beyond the largest distance in which the smooth part is made periodic."""
+"""Mesh points beyond the largest distance over which the smooth part is made periodic."""
 _PARTS = 4
-"""Parts of the flock that may be done at a time: a constant, since sums depend on it."""
+"""Parts of the flock that may be computed in parallel; fixed, since rounding depends on it."""
 
 
 def _fft() -> Any:
-    # Imported where it is needed: nodes would start later by two tenths of a second.
+    # Imported only when needed: it would delay the start of every node by 0.2 s.
     import scipy.fft
 
     return scipy.fft
@@ -59,9 +59,9 @@ def split(potential: Potential, reach: float) -> tuple[Near, Polynomial]:
     # NumPy's annotations cover arrays of one dimension only, and not in all versions.
     interpolate: Any = Chebyshev.interpolate
     slope = reach * interpolate(lambda z: potential.derivative(reach * z), 24, domain=[0.5, 1.5])
-    wanted = [float(potential.value(np.array(reach)))]
-    wanted += [float(slope.deriv(k)(1.0)) for k in range(_SMOOTHNESS - 1)]
-    smooth = Polynomial(np.linalg.solve(_DERIVATIVES, wanted))
+    conditions = [float(potential.value(np.array(reach)))]
+    conditions += [float(slope.deriv(k)(1.0)) for k in range(_SMOOTHNESS - 1)]
+    smooth = Polynomial(np.linalg.solve(_DERIVATIVES, conditions))
     smooth_slope = smooth.deriv()
 
     def near_slope(z: Array) -> Any:
@@ -79,7 +79,7 @@ Run = Callable[..., Iterator[Any]]
 
 
 class Part(NamedTuple):
-    """Some strips of cells; their sheep; the end of the sheep of one strip more."""
+    """A range of strips, its sheep, and the end of the sheep of the strip after it."""
 
     rows: tuple[int, int]
     sheep: slice
@@ -87,7 +87,7 @@ class Part(NamedTuple):
 
 
 class Flock(NamedTuple):
-    """A flock sorted by cell: x (2, n + CHUNK) [m], `order` holds their numbers."""
+    """A flock sorted by cell: x (2, n + CHUNK) [m]; `order` holds the original indices."""
 
     lanes: int
     x: Array
@@ -101,7 +101,7 @@ class ParticleMesh:
     """Forces of n sheep on each other in a box, by a mesh of a given spacing [m].
 
     low: (2,) lower corner of the box [m]; extent: (2,) its sides [m]; reach of the near part [m];
-    run: does the parts of the work, as `map` does, maybe on several cores.
+    run: applies a function to parts of the flock as `map` does, possibly on several cores.
     """
 
     potential: Potential
@@ -134,7 +134,7 @@ class ParticleMesh:
 
     @cached_property
     def padded(self) -> tuple[int, int]:
-        """Mesh points with those that keep the periods of the FFT apart."""
+        """Mesh points including the padding that separates the periods of the FFT."""
         rows, columns = (
             2 * _fft().next_fast_len(points + _WRAP // 2, real=True) for points in self.shape
         )
@@ -142,7 +142,7 @@ class ParticleMesh:
 
     @cached_property
     def _influence(self) -> Array:
-        """Transform of the smooth part over n, freed from the splines that it will meet twice.
+        """Transform of the smooth part divided by n, corrected for the two uses of the splines.
 
         The least-squares optimum (Hockney and Eastwood 1988) with the aliases of the splines.
         """
@@ -161,9 +161,9 @@ class ParticleMesh:
         return transform / self.n
 
     def _axis(self, points: int, period: int) -> tuple[Array, Array]:
-        """Return distances along an axis, and the factor of its wave numbers, half a period.
+        """Return distances along an axis and factors of its wave numbers, over half a period.
 
-        Distances up to `points` count; those beyond level off smoothly, so that any function
+        Distances are true up to `points`; beyond, they level off smoothly, so that any function
         of them is periodic.
         """
         steps = np.arange(period // 2 + 1)
@@ -178,7 +178,7 @@ class ParticleMesh:
     def holds(self, x: Array) -> bool:
         """Whether all sheep at x (2, lanes) [m] are in the box."""
         share = (x[:, : self.n].T - self.low) / self.extent
-        return bool(((share >= 0.0) & (share < 1.0 - 1e-9)).all())  # not on its very edge
+        return bool(((share >= 0.0) & (share < 1.0 - 1e-9)).all())  # not on the upper edge
 
     def gradients(self, x: Array) -> Array:
         """Return 1/n sum_j grad P(x_i - x_j) at x (2, lanes) [m], as (2, lanes) [m/s^2]."""
@@ -229,7 +229,7 @@ class ParticleMesh:
         return Flock(x.shape[1], ordered, order, start, parts)
 
     def _pairs(self, flock: Flock, kernel: Callable[..., None], *arrays: Array) -> Iterator[Array]:
-        """Begin the sums over near pairs of each part; return what comes of them."""
+        """Start the sums over the near pairs of each part; return an iterator over the results."""
         near, _ = self._split
 
         def of_part(part: Part) -> Array:
@@ -242,7 +242,7 @@ class ParticleMesh:
     def _field(
         self, flock: Flock, kernel: Callable[..., None], *arrays: Array
     ) -> tuple[Mesh, Array]:
-        """Return the field of what the kernel spreads, and its mesh."""
+        """Return the mesh, and the field on it of what the kernel spreads."""
         cells, (rows, columns), (padded_rows, padded_columns) = (
             self._cells,
             self.shape,
@@ -271,7 +271,7 @@ class ParticleMesh:
     def _sum(
         self, flock: Flock, pairs: Iterator[Array], gather: Callable[[Part, Array], None]
     ) -> Array:
-        """Return gathered and near sums in the order of the flock, (2, lanes)."""
+        """Return the sum of both parts in the original order of the sheep, (2, lanes)."""
         total = np.zeros_like(flock.x)
         list(self.run(lambda part: gather(part, total), flock.parts))
         for part, found in zip(flock.parts, pairs, strict=True):

@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .crowd import Crowd
-from .dynamics import rollout
 from .flock import arrived, spread
 from .motion import Holonomic, MotionModel
-from .noise import increments
 from .parameters import Parameters, quantity, TINY
 from .scenario import DOG_RADIUS, initial_herd, MOST_DOGS, MOST_SHEEP
 from .state import Array, HerdState
@@ -96,6 +94,9 @@ class Simulation:
         Commands beyond the speed limit are projected onto it. Raises ValueError, and leaves the
         state as it was, if forces or noise would take the herd beyond all numbers.
         """
+        from .dynamics import rollout  # a program's help needs no Numba
+        from .noise import increments
+
         world = self.world
         u = world.motion.project(u, world.max_speed)
         noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)

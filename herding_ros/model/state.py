@@ -27,9 +27,9 @@ def finite(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
     if array.ndim != len(shape) or any(
         n is not None and n != m for n, m in zip(shape, array.shape, strict=True)
     ):
-        wanted = ', '.join('any' if n is None else str(n) for n in shape)
-        wanted += ',' * (len(shape) == 1)
-        raise ValueError(f'{name} must have shape ({wanted}), got {array.shape}')
+        expected = ', '.join('any' if n is None else str(n) for n in shape)
+        expected += ',' * (len(shape) == 1)
+        raise ValueError(f'{name} must have shape ({expected}), got {array.shape}')
     if not np.isfinite(array).all():
         raise ValueError(f'{name} must be finite, got NaN or infinite values')
     return array

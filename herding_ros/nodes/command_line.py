@@ -4,60 +4,123 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import takewhile
 import sys
 from typing import NoReturn
 
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.utilities import remove_ros_args
-
+from herding_ros.control.parameters import Control
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.parameters import Parameters
+from herding_ros.model.simulation import World
 
+from .settings import ControllerSettings, RecorderSettings, SimSettings
 from .signals import END_WITH_STDIN, end_with_stdin
 
-Row = tuple[str, str, str]
+_Row = tuple[str, str, str]
 """Name, default with its unit, and meaning of a parameter."""
 
 
-def rows(groups: Iterable[tuple[str, Parameters]], names: Iterable[str]) -> list[Row]:
-    """Return the rows of some parameters, by their dotted names after each group's prefix."""
-    entries = {entry.name: entry for prefix, group in groups for entry in group.walk(prefix)}
-    return [
-        (name, f'{_written(entries[name].value)} {meta["unit"]}'.strip(), meta['doc'])
-        for name in names
-        for meta in [entries[name].field.metadata]
-    ]
+@dataclass(frozen=True)
+class _Node:
+    """What the help of a node says; parameters are some of those in the groups."""
+
+    description: str
+    topics: str
+    groups: tuple[tuple[str, Parameters], ...]
+    parameters: tuple[str, ...]
+    example: str
 
 
-def read(
-    node: str, description: str, topics: str, parameters: list[Row], example: str,
-    args: list[str] | None,
-) -> None:  # fmt: skip
+_NODES = {
+    'sim': _Node(
+        'Moves the herd, and publishes what sensors would observe of it.',
+        'publishes: sheep, dog_<i>/odom, truth/sheep, truth/dog_<i>/odom, /clock, markers, '
+        '/diagnostics\nsubscribes to: dog_<i>/cmd_vel, goal_pose\nservices: ~/reset, ~/pause',
+        (('', SimSettings()), ('', World()), ('crowd.', Crowd())),
+        (
+            *('sheep', 'dogs', 'seed', 'goal', 'crowd.noise', 'position_noise', 'velocity_noise'),
+            *('max_speed', 'lockstep', 'real_time_factor', 'stop_on_arrival', 'time_limit'),
+        ),
+        'sim --ros-args -p sheep:=20 -p dogs:=3 -p real_time_factor:=10.0',
+    ),
+    'controller': _Node(
+        'Herds by space-mapping receding-horizon control: commands for the dogs from '
+        'observations of sheep and dogs.',
+        'publishes: dog_<i>/cmd_vel, plan, herd/goal, herd/path, dog_<i>/path, /diagnostics\n'
+        'subscribes to: sheep, dog_<i>/odom, goal_pose',
+        (('', ControllerSettings()), ('', Control()), ('crowd.', Crowd())),
+        (
+            *('dogs', 'goal', 'seed', 'crowd.noise', 'max_speed', 'horizon.length'),
+            *('horizon.accepted', 'lockstep', 'lead', 'state_timeout', 'mapping.paths', 'stamped'),
+        ),
+        'controller --ros-args -p dogs:=3 -p use_sim_time:=true -p lead:=5.0',
+    ),
+    'recorder': _Node(
+        'Records every topic, as it is on the wire, into a rosbag2 bag (mcap).',
+        'publishes: /diagnostics\nsubscribes to: all topics\nservices: ~/pause, ~/resume',
+        (('', RecorderSettings()),),
+        tuple(RecorderSettings().flat()),
+        'recorder --ros-args -p bag:=my_bag -p use_sim_time:=true',
+    ),
+}
+
+
+def answer_help(node: str) -> None:
+    """Print the help of a node and exit with 0 if the process is asked for it.
+
+    That needs neither ROS nor compiled code.
+    """
+    _parser(node).parse_known_args([*takewhile('--ros-args'.__ne__, sys.argv[1:])])
+
+
+def read(node: str, args: list[str] | None) -> None:
     """Check the arguments of a node (default: those of the process) before it starts anything.
 
     Exits with code 0 after printing help, with 2 if there is an argument that is not ROS's.
     """
+    parser = _parser(node)
+    given = sys.argv[1:] if args is None else args
+    if parser.parse_args(_without_ros_args(given, parser.error)).end_with_stdin:
+        end_with_stdin()
+
+
+def _parser(node: str) -> _Parser:
+    said = _NODES[node]
     parser = _Parser(
         prog=node,
-        usage=f'{node} [-h] [{END_WITH_STDIN}] '
-        '[--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]',
-        description=description,
-        epilog=f'{topics}\n\nsome parameters (`ros2 param describe /{node}` has all):\n'
-        + _table(parameters)
-        + f'\n\nexample:\n  {example}',
+        usage=f'{node} [-h] [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]',
+        description=said.description,
+        epilog=f'{said.topics}\n\nsome parameters (`ros2 param describe /{node}` has all):\n'
+        + _table(_rows(said))
+        + f'\n\nexample:\n  {said.example}',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    given = sys.argv[1:] if args is None else args
-    try:
-        others = remove_ros_args(given)
-    except (_rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError) as error:
-        parser.error(f'bad ROS arguments: {error}')
     parser.add_argument(
         END_WITH_STDIN, action='store_true',
         help='end when the standard input ends, and so with a parent that holds a pipe to it',
     )  # fmt: skip
-    if parser.parse_args(others).end_with_stdin:
-        end_with_stdin()
+    return parser
+
+
+def _rows(node: _Node) -> list[_Row]:
+    entries = {entry.name: entry for prefix, group in node.groups for entry in group.walk(prefix)}
+    return [
+        (name, f'{_written(entries[name].value)} {meta["unit"]}'.strip(), meta['doc'])
+        for name in node.parameters
+        for meta in [entries[name].field.metadata]
+    ]
+
+
+def _without_ros_args(given: list[str], refuse: Callable[[str], NoReturn]) -> list[str]:
+    from rclpy.impl.implementation_singleton import rclpy_implementation as rclpy  # not for help
+    from rclpy.utilities import remove_ros_args
+
+    try:
+        return list(remove_ros_args(given))
+    except (rclpy.RCLInvalidROSArgsError, rclpy.UnknownROSArgsError) as error:
+        refuse(f'bad ROS arguments: {error}')
 
 
 class _Parser(argparse.ArgumentParser):
@@ -66,7 +129,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f'{self.prog}: {message}; {hint} (see {self.prog} --help)\n')
 
 
-def _table(parameters: list[Row]) -> str:
+def _table(parameters: list[_Row]) -> str:
     widths = [max(len(row[i]) for row in parameters) for i in (0, 1)]
     return '\n'.join(
         f'  {name:<{widths[0]}}  {default:<{widths[1]}}  {meaning}'

@@ -8,7 +8,6 @@ of the node's clock, while the pilot plans ahead in the background.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 import sys
 
@@ -21,13 +20,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import OutOfStepError
 from herding_ros.control.pilot import Announcement, Decision, dog_name
-from herding_ros.control.real_time_pilot import RealTimePilot, Timing
+from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
-from herding_ros.model.crowd import Crowd
-from herding_ros.model.parameters import quantity
-from herding_ros.model.scenario import MOST_DOGS
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 
@@ -36,15 +32,18 @@ from .duplicates import sole_publisher
 from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
 from .observations import Observations
-from .parameters import declare
-from .publishing import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, UNWATCHED
+from .parameters import declare, declare_control, declare_crowd
+from .publishing import (
+    ADJUSTABLE,
+    CountingPublisher,
+    EVERY_MESSAGE,
+    full_node_name,
+    is_heard,
+    node_of,
+    UNWATCHED,
+)
 from .running import CannotGoOnError, run
-from .settings import declare_control, declare_crowd, NodeSettings
-
-_IN_HELP = (
-    'dogs', 'goal', 'seed', 'crowd.noise', 'max_speed', 'horizon.length', 'horizon.accepted',
-    'lockstep', 'lead', 'state_timeout', 'mapping.paths', 'stamped',
-)  # fmt: skip
+from .settings import ControllerSettings
 
 _PATH_SPACING = 0.5
 """Time between two poses of a path [s]."""
@@ -52,18 +51,11 @@ _PATH_SPACING = 0.5
 _STATE_PERIOD = 1.0
 """Wall time between two messages on /diagnostics about the node itself [s]."""
 
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-
-@dataclass(frozen=True)
-class ControllerSettings(NodeSettings, Timing):
-    """How the controller behaves as a ROS node."""
-
-    dogs: int = quantity(5, 'number of dogs', low=1, high=MOST_DOGS)
-    most_sheep: int = quantity(
-        100_000, 'a message with more sheep than this is refused', low=1, high=1_000_000
-    )
-    seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
+_NEWEST = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Those who come late get one message: a goal before the last one is not in force."""
+"""Room for what a slow subscriber has not received yet; a late one gets all that is in it."""
 
 
 class Controller(HerdingNode):
@@ -77,8 +69,7 @@ class Controller(HerdingNode):
         control = declare_control(self)
         self._control = control
         self._control_period = control.horizon.control_period
-        self._first_stamp: int | None = None
-        self._is_period_checked = False
+        self._decided = 0  # time of the last decision [ns]
         planner = RecedingHorizon(crowd, control, np.array(settings.goal), settings.seed)
         self._pilot: LockstepPilot | RealTimePilot
         if settings.lockstep:
@@ -99,6 +90,7 @@ class Controller(HerdingNode):
         self._plan = sole_publisher(
             self, 'plan', lambda: create(MultiDOFJointTrajectory, 'plan', _LATCHED)
         )
+        self._goal = create(PoseStamped, 'herd/goal', _NEWEST)
         names = [dog_name(m) for m in range(self._settings.dogs)]
         kind = TwistStamped if self._settings.stamped else Twist
         self._commands = [
@@ -115,17 +107,18 @@ class Controller(HerdingNode):
     def _subscribe_when_heard(self) -> None:
         """Subscribe to observations only once the subscribers of the replies are matched."""
         settings = self._settings
+        recorder = full_node_name(self, settings.wait_for)
         if settings.lockstep and not all(
             any(
-                is_heard(self, [commands], listener.node_name)
+                is_heard(self, [commands], node_of(listener))
                 for listener in self.get_subscriptions_info_by_topic(commands.topic_name)
-                if listener.node_name != settings.wait_for
+                if node_of(listener) != recorder
             )
             for commands in self._commands
         ):
             return
         everything = [*self._commands, self._plan, self._herd_path, *self._dog_paths]
-        everything.append(self._diagnostics)
+        everything += [self._goal, self._diagnostics]
         if settings.wait_for and not is_heard(self, everything, settings.wait_for):
             return
         self.destroy_timer(self._waiting)
@@ -134,6 +127,7 @@ class Controller(HerdingNode):
             self._control, self._refused,
         )  # fmt: skip
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1, raw=True)
+        self._publish_goal(np.array(settings.goal))
         self.create_timer(_STATE_PERIOD, self._publish_state, clock=self._wall)
         if settings.lockstep:
             self.create_timer(0.0, self._keep_in_step, clock=self._wall)
@@ -149,20 +143,11 @@ class Controller(HerdingNode):
         for _ in self._observations.arrivals(LOCKSTEP_TURN):
             observed = self._observations.complete()
             if observed is not None:
-                self._check_period(observed.stamp)
-                self._carry_out(self._pilot.decide(observed), observed.stamp)
-
-    def _check_period(self, stamp: int) -> None:
-        """Compare the first two observations: in lockstep a command holds until the next one."""
-        elapsed = (stamp - self._first_stamp) * 1e-9 if self._first_stamp is not None else 0.0
-        self._first_stamp = stamp if self._first_stamp is None else self._first_stamp
-        if elapsed > 0.0 and not self._is_period_checked:
-            self._is_period_checked = True
-            if abs(elapsed / self._control_period - 1.0) > 1e-6:
-                raise CannotGoOnError(
-                    'horizon.control_period must be the dt * substeps of the sim in lockstep, '
-                    f'{elapsed:g} s, got {self._control_period:g} s'
-                )
+                try:
+                    decision = self._pilot.decide(observed)
+                except OutOfStepError as error:
+                    raise CannotGoOnError(str(error)) from error
+                self._carry_out(decision, observed.stamp)
 
     def _keep_time(self) -> None:
         """Give the command for the present control period."""
@@ -174,9 +159,10 @@ class Controller(HerdingNode):
         try:
             goal = messages.goal_in(data, self._settings.frame)
         except ValueError as error:
-            self._refused.add('goal_pose', error)
+            self._refused.add_request('goal_pose', error)
             return
         if self._pilot.move_goal(goal):
+            self._publish_goal(goal)
             self.get_logger().info(f'the destination is now ({goal[0]:g}, {goal[1]:g})')
 
     def _now(self) -> int:
@@ -189,6 +175,7 @@ class Controller(HerdingNode):
 
     def _carry_out(self, decision: Decision, ns: int) -> None:
         """Publish a decision, the command first."""
+        self._decided = ns
         if decision.command is not None:
             self._publish_command(decision.command, ns)
         if decision.announcement is not None:
@@ -219,6 +206,10 @@ class Controller(HerdingNode):
         for m, route in zip(members, window.dogs[::every].swapaxes(0, 1), strict=True):
             self._dog_paths[m].publish(messages.path(route, spacing, start, frame))
 
+    def _publish_goal(self, goal: Array) -> None:
+        """Publish the goal in force, stamped with the time from which on the dogs follow it."""
+        self._goal.publish(messages.pose(goal, self._decided, self._settings.frame))
+
     def _publish_report(self, announcement: Announcement, ns: int) -> None:
         """Say how a plan was found, and whether in time."""
         plan, margin = announcement.plan, announcement.margin
@@ -233,7 +224,7 @@ class Controller(HerdingNode):
         }
         level = DiagnosticStatus.OK if margin >= 0.0 else DiagnosticStatus.WARN
         self._diagnostics.publish(
-            messages.diagnostics('controller: plan', ns, level, report.status.value, values)
+            messages.diagnostics(self.status_name('plan'), ns, level, report.status.value, values)
         )
 
     def _publish_state(self) -> None:
@@ -249,7 +240,7 @@ class Controller(HerdingNode):
         good = condition.good and not (pilot.plans_failed or self._refused.counts)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         self._diagnostics.publish(
-            messages.diagnostics('controller: state', now, level, condition.doing, values)
+            messages.diagnostics(self.status_name('state'), now, level, condition.doing, values)
         )
 
 
@@ -263,17 +254,7 @@ _LOG = {
 
 def main(args: list[str] | None = None) -> int:
     """Run the node, or print help."""
-    groups = [('', ControllerSettings()), ('', Control()), ('crowd.', Crowd())]
-    command_line.read(
-        'controller',
-        'Herds by space-mapping receding-horizon control: commands for the dogs from '
-        'observations of sheep and dogs.',
-        'publishes: dog_<i>/cmd_vel, plan, herd/path, dog_<i>/path, /diagnostics\n'
-        'subscribes to: sheep, dog_<i>/odom, goal_pose',
-        command_line.rows(groups, _IN_HELP),
-        'controller --ros-args -p dogs:=3 -p use_sim_time:=true -p lead:=5.0',
-        args,
-    )
+    command_line.read('controller', args)
     return run(Controller, args)
 
 

@@ -14,7 +14,7 @@ from herding_ros.model.state import Array
 from . import messages
 from .herding_node import HerdingNode
 from .inbox import Inbox
-from .publishing import ADJUSTABLE, is_heard
+from .publishing import ADJUSTABLE, is_heard, node_of
 from .refusals import Refusals, Refused
 from .settings import NodeSettings
 
@@ -99,7 +99,7 @@ class DogCommands:
         return all(
             inbox.subscription.get_publisher_count() > 0
             and any(
-                is_heard(self._node, sensors, commander.node_name)
+                is_heard(self._node, sensors, node_of(commander))
                 for commander in self._node.get_publishers_info_by_topic(
                     inbox.subscription.topic_name
                 )

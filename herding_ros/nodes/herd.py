@@ -10,7 +10,6 @@ import itertools
 import os
 from pathlib import Path
 import sys
-import threading
 import time
 
 import rclpy
@@ -21,9 +20,9 @@ from herding_ros.control.lead import FASTEST, lead_at, SLOWEST
 from herding_ros.model.parameters import LARGE, TINY
 from herding_ros.model.scenario import GOAL, MOST_DOGS, MOST_SHEEP
 
+from .middleware import start_ros
 from .progress import ProgressLine, Watcher
-from .running import start_ros
-from .signals import note_signals
+from .signals import note_signals, Noted
 from .supervision import Child
 
 _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED, _INTERRUPTED = 0, 1, 2, 3, 130
@@ -139,9 +138,7 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     ]
 
 
-def _watch(
-    children: list[Child], watcher: Watcher, interrupted: threading.Event, console: Console
-) -> int:
+def _watch(children: list[Child], watcher: Watcher, interrupted: Noted, console: Console) -> int:
     """Show how it goes until it is over; return the exit code."""
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 
 from herding_ros.model.parameters import Parameters
@@ -26,9 +27,12 @@ class HerdingNode(Node):
     _followed: tuple[tuple[str, Parameters], ...] = ()
     _take: Callable[..., None]
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self._kind = name
         self._refused = Refusals(self.get_logger())
+        self.ended = Future()
+        """Done when the node is to end; it then returns from `run`."""
         self.joined = time.monotonic()
         """When the node began to discover others [s]."""
         descriptor = ParameterDescriptor(
@@ -37,6 +41,10 @@ class HerdingNode(Node):
             read_only=True,
         )
         self.set_descriptor('use_sim_time', descriptor)
+
+    def status_name(self, what: str) -> str:
+        """Return the name of a status on /diagnostics, which nodes of all namespaces share."""
+        return f'{self.get_namespace()}/{self._kind}: {what}'.lstrip('/')
 
     def load_kernels(self, warm_up: Callable[[], float]) -> None:
         """Make compiled kernels ready; it may take half a minute the first time."""

@@ -3,7 +3,15 @@
 
 from __future__ import annotations
 
-from ..bag.part import LAST_TIME_NS
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+import shutil
+from tempfile import mkdtemp
+
+from mcap.reader import make_reader
+
+from ..bag.writer import BagWriter, LAST_TIME_NS
+from .recorded_topics import NewTopic
 from .refusals import Refused
 from .wire import Reader
 
@@ -37,3 +45,40 @@ class LogClock:
     def log_time(self, receive_ns: int) -> int:
         """Return the log time [ns] of a message that came in at this wall time [ns]."""
         return self._time_ns if self.is_known else receive_ns
+
+
+def rewritten(
+    bag: BagWriter, create: Callable[[], BagWriter], topics: Iterable[NewTopic], log_ns: int
+) -> BagWriter:
+    """Return a bag by `create` in place of one, with the same messages at another log time [ns].
+
+    Meanwhile the old one, complete, is beside it as `<name>.before_clock_<letters>`; a kill leaves
+    it there. When the disk refuses (OSError) it is where it was.
+    """
+    bag.close()
+    early = Path(mkdtemp(prefix=bag.path.name + '.before_clock_', dir=bag.path.parent))
+    bag.path.rename(early)
+    try:
+        new = create()
+        for topic in topics:
+            new.add_topic(*topic)
+        files = [early / f'{bag.path.name}_{k}.mcap' for k in range(bag.file_count)]
+        for name, data, publish_ns in _messages(files):
+            new.write(name, data, log_ns, publish_ns)
+        new.flush()
+    except OSError:
+        shutil.rmtree(bag.path, ignore_errors=True)
+        early.rename(bag.path)
+        raise
+    shutil.rmtree(early)
+    return new
+
+
+def _messages(files: Iterable[Path]) -> Iterator[tuple[str, bytes, int]]:
+    """Yield topic, data and publish time [ns] of all messages, in the order of the files."""
+    for file in files:
+        with file.open('rb') as stream:
+            found = make_reader(stream).iter_messages(log_time_order=False)
+            yield from (
+                (each.topic, message.data, message.publish_time) for _, each, message in found
+            )

@@ -12,7 +12,11 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
+from herding_ros.control.parameters import Control, CONTROLS
+from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import check, describe_limits, Entry, Parameters
+
+from .settings import ControlPreset, CrowdPreset
 
 _P = TypeVar('_P', bound=Parameters)
 
@@ -26,6 +30,17 @@ def declare(node: Node, defaults: _P, prefix: str = '') -> _P:
     return defaults.with_values(
         {entry.name: _declare_entry(node, entry) for entry in defaults.walk(prefix)}, prefix
     )
+
+
+def declare_crowd(node: Node) -> Crowd:
+    """Declare the crowd: `crowd.preset` gives the defaults of the other `crowd.` parameters."""
+    preset = declare(node, CrowdPreset(), 'crowd.').preset
+    return declare(node, CROWDS[preset], 'crowd.')
+
+
+def declare_control(node: Node) -> Control:
+    """Declare the method of the controller: `preset` gives the defaults of its parameters."""
+    return declare(node, CONTROLS[declare(node, ControlPreset()).preset])
 
 
 def check_parameter(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:

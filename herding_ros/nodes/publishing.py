@@ -13,11 +13,13 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from .topic_qos import asks_more
+from .wire import serialized
 
 CLOCK = '/clock'
-"""The topic that publishes the time of a simulation."""
+"""The topic that publishes the time of a simulation, unless the nodes are told another."""
 
 EVERY_MESSAGE = QoSProfile(depth=1000)
 """Reliable, with room for what a slow subscriber has not received yet."""
@@ -33,13 +35,13 @@ _FLUSH_TIME = 1.0
 
 
 class CountingPublisher(Publisher):
-    """A publisher that counts the messages it has published."""
+    """A publisher that counts the messages it has published; equal ones have equal bytes."""
 
     count = 0
 
     def publish(self, msg: Any) -> None:
-        """Publish and count."""
-        super().publish(msg)
+        """Publish a message, or its bytes, and count."""
+        super().publish(msg if isinstance(msg, bytes) else serialized(msg))
         self.count += 1
 
 
@@ -55,12 +57,27 @@ def flush(node: Node) -> None:
         publisher.wait_for_all_acked(Duration(nanoseconds=int(remaining * 1e9)))
 
 
+def node_of(endpoint: TopicEndpointInfo) -> str:
+    """Return the full name of an endpoint's node; '' for one just discovered, without a name."""
+    if endpoint.node_name == '_NODE_NAME_UNKNOWN_':
+        return ''
+    return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
+
+
+def full_node_name(node: Node, name: str) -> str:
+    """Return the full name of a node that stands in the namespace of `node`, unless it is full."""
+    return name if name.startswith('/') else f'{node.get_namespace().rstrip("/")}/{name}'
+
+
 def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool:
     """Whether publishers are matched with the node named `listener` and all other subscribers.
 
-    Subscribers that ask for more than a publisher offers are never matched, and do not count. Nor
-    does rclpy's own subscription to /clock, which has a lower reliability, count as listening.
+    The name may be relative to the namespace of `node`. Subscribers that ask for more than a
+    publisher offers are never matched, and do not count. Nor does rclpy's own subscription to
+    /clock, which has a lower reliability, count as listening.
     """
+    listener = full_node_name(node, listener)
+    clock = node.resolve_topic_name(CLOCK)
     for publisher in publishers:
         subscribers = [
             info
@@ -68,9 +85,9 @@ def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool
             if not asks_more(info.qos_profile, publisher.qos_profile)
         ]
         listeners = {
-            info.node_name
+            node_of(info)
             for info in subscribers
-            if publisher.topic_name != CLOCK
+            if publisher.topic_name != clock
             or info.qos_profile.reliability == publisher.qos_profile.reliability
         }
         if listener not in listeners:

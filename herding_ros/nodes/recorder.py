@@ -12,12 +12,10 @@ from collections.abc import Callable
 import json
 from pathlib import Path
 import sys
-import threading
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
 import rclpy
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.exceptions import ParameterException
@@ -30,13 +28,15 @@ from ..bag.metadata import advice
 from ..bag.writer import BagWriter
 from . import command_line
 from .herding_node import HerdingNode
-from .log_clock import LogClock
+from .log_clock import LogClock, rewritten
+from .middleware import start_ros
 from .parameter_query import ParameterQuery
-from .publishing import CLOCK
+from .parameters import declare
+from .publishing import CLOCK, CountingPublisher, EVERY_MESSAGE
 from .recorded_topics import NewTopic, RecordedTopics
 from .refusals import Refused
-from .running import start_ros
-from .signals import ignore_signals, note_signals
+from .settings import RecorderSettings
+from .signals import ignore_signals, note_signals, Noted
 from .tap import Received
 
 TAKE_PERIOD = 0.02
@@ -54,8 +54,19 @@ FLUSH_PERIOD = 0.05
 With `TAKE_PERIOD` before it and a round in which it falls due, a kill costs less than 0.1 s.
 """
 
+CLOCK_PATIENCE = 5.0
+"""Time after which a clock that has not come is missed [s]."""
+
+SHARED = ('/diagnostics', '/rosout', '/parameter_events')
+"""Topics that nodes of all namespaces share, besides the clock; each message names its node."""
+
 LAST_MESSAGES = 0.05
 """Time in which messages published before the end arrive [s]."""
+
+
+_UNTIL_CLOCK = (
+    'log times are wall time until then; start what publishes it, or set use_sim_time to false'
+)
 
 
 class Recorder(HerdingNode):
@@ -65,55 +76,51 @@ class Recorder(HerdingNode):
     notice, /diagnostics says it.
     """
 
-    _bag: BagWriter
+    bag: BagWriter
 
     def __init__(self) -> None:
         super().__init__('recorder')
-        self.bag_path = Path(
-            self._declare(
-                'bag',
-                time.strftime('bag_%Y_%m_%d-%H_%M_%S'),
-                'Folder of the bag, created at start; it must not exist. ~ is your home.',
-            )
-        ).expanduser()
-        topics = self._declare(
-            'topics', [''], 'Full names of the topics to record; none, or an empty one: all.'
-        )
-        self.max_size = self._declare(
-            'max_bag_size', 0, 'Size after which the bag goes on in another file; 0: never. [byte]'
-        )
-        self.max_duration = self._declare(
-            'max_bag_duration',
-            0,
-            'Time after which the bag goes on in another file; 0: never. [s]',
-        )
-        self._chosen = {topic for topic in topics if topic}
+        settings = RecorderSettings(bag=time.strftime('bag_%Y_%m_%d-%H_%M_%S'))
+        self._settings = declare(self, settings)
+        self._chosen = {topic for topic in self._settings.topics if topic}
+        self._clock_topic = self.resolve_topic_name(CLOCK)
+        self._shared = {self.resolve_topic_name(topic) for topic in (CLOCK, *SHARED)}
         self._topics = RecordedTopics(self, self._is_wanted, self._add_topic)
         self._queries: dict[str, ParameterQuery] = {}
         self._parameters_of: dict[str, dict[str, Any]] = {}
-        self._waiting: list[Received] = []  # for the first /clock
         self._log_clock = LogClock()
         self._bytes = 0
         self._lost = 0
+        self._added: list[NewTopic] = []
+        self._begun = time.monotonic()
+        self._is_clock_missed = False
         self._paused = False
         self._failure = ''  # why nothing is written any more
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, '/diagnostics', EVERY_MESSAGE, publisher_class=CountingPublisher
+        )
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/resume', self._on_resume)
 
-    def _declare(self, name: str, default: Any, description: str) -> Any:
-        descriptor = ParameterDescriptor(description=description, read_only=True)
-        if isinstance(default, int):
-            descriptor.integer_range = [IntegerRange(from_value=0, to_value=2**63 - 1)]
-        return self.declare_parameter(name, default, descriptor).value
+    def create_bag(self) -> None:
+        """Create the bag; raises what `BagWriter` raises."""
+        self.bag = self._create_bag()
 
-    def record(self, bag: BagWriter, stop: threading.Event) -> bool:
+    def _create_bag(self) -> BagWriter:
+        settings = self._settings
+        max_duration_ns = settings.max_bag_duration * 1_000_000_000
+        return BagWriter(
+            Path(settings.bag).expanduser(),
+            self._custom_data(),
+            settings.max_bag_size,
+            max_duration_ns,
+        )
+
+    def record(self, stop: Noted) -> bool:
         """Record into the bag until stop is set, and close it.
 
         Returns whether all could be written.
         """
-        self._bag = bag
-        self._keep_custom_data()
         wall = Clock(clock_type=ClockType.STEADY_TIME)  # goes on while the sim's clock stands
         self.create_timer(GRAPH_PERIOD, self._search_graph, clock=wall)
         self.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=wall)
@@ -127,12 +134,11 @@ class Recorder(HerdingNode):
             self._write(self._topics.take())
             if time.monotonic() > flushed + FLUSH_PERIOD:
                 flushed = time.monotonic()
-                self._attempt(bag.flush)
+                self._attempt(self.bag.flush)
         time.sleep(LAST_MESSAGES)
         self._write(self._topics.take_last())
-        self._attempt(self._write_waiting)
-        self._lost += self._topics.take_lost()
-        self._attempt(bag.close)
+        self._count_lost()
+        self._attempt(self.bag.close)
         return not self._failure
 
     def _attempt(self, write: Callable[[], None]) -> None:
@@ -144,11 +150,11 @@ class Recorder(HerdingNode):
         except OSError as error:
             self._failure = error.strerror or str(error)
             try:
-                self._bag.close()
-                rest = f'the {self._bag.message_count} messages until now are a complete bag'
+                self.bag.close()
+                rest = f'the {self.bag.message_count} messages until now are a complete bag'
             except OSError:
-                rest = f'the bag is not complete: {advice(self._bag.path)}'
-            self.get_logger().fatal(f'stopped recording into {self._bag.path}: {error}; {rest}')
+                rest = f'the bag is not complete: {advice(self.bag.path)}'
+            self.get_logger().fatal(f'stopped recording into {self.bag.path}: {error}; {rest}')
 
     def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._write(self._topics.take())  # what came before
@@ -169,14 +175,20 @@ class Recorder(HerdingNode):
     def _state(self) -> str:
         if self._failure:
             return f'stopped: {self._failure}'
-        return 'paused' if self._paused else 'recording'
+        state = 'paused' if self._paused else 'recording'
+        return f'{state}, {self._without_clock}' if self._lacks_clock else state
 
     def _search_graph(self) -> None:
-        self._write(self._topics.discover())
-        for name, namespace in self.get_node_names_and_namespaces():
-            full_name = f'{namespace.rstrip("/")}/{name}'
-            if full_name not in self._parameters_of and full_name not in self._queries:
-                self._queries[full_name] = ParameterQuery(self, full_name)
+        self._topics.discover()
+        present = {
+            full_name
+            for name, namespace in self.get_node_names_and_namespaces()
+            if self._is_within(full_name := f'{namespace.rstrip("/")}/{name}')
+        }
+        for full_name in present - self._parameters_of.keys() - self._queries.keys():
+            self._queries[full_name] = ParameterQuery(self, full_name)
+        for full_name in self._queries.keys() - present:
+            self._queries.pop(full_name).destroy()
         for full_name, query in list(self._queries.items()):
             query.advance()
             if query.values is not None:
@@ -186,69 +198,104 @@ class Recorder(HerdingNode):
 
     def _is_wanted(self, topic: str) -> bool:
         # In a simulation the log times are the clock's, so it is wanted in any case.
-        is_clock = topic == CLOCK and self._in_simulation
-        return not self._chosen or topic in self._chosen or is_clock
+        if self._chosen:
+            return topic in self._chosen or (topic == self._clock_topic and self._in_simulation)
+        return self._is_within(topic) or topic in self._shared
+
+    def _is_within(self, name: str) -> bool:
+        """Whether a topic or node is in this node's namespace, or in one below it."""
+        return name.startswith(f'{self.get_namespace().rstrip("/")}/')
 
     @property
     def _in_simulation(self) -> bool:
         clock = self.get_clock()
         return isinstance(clock, ROSClock) and clock.ros_time_is_active
 
+    @property
+    def _lacks_clock(self) -> bool:
+        """Whether the simulation's clock should have come by now."""
+        late = time.monotonic() > self._begun + CLOCK_PATIENCE
+        return late and self._in_simulation and not self._log_clock.is_known
+
+    @property
+    def _without_clock(self) -> str:
+        return f'use_sim_time is true, but nothing has come on {self._clock_topic}'
+
     def _keep_custom_data(self) -> None:
-        parameters = json.dumps(self._parameters_of, sort_keys=True, default=list)
-        custom_data = {'herding_ros_version': __version__, 'parameters': parameters}
-        self._attempt(lambda: self._bag.set_custom_data(custom_data))
+        self._attempt(lambda: self.bag.set_custom_data(self._custom_data()))
+
+    def _custom_data(self) -> dict[str, str]:
+        return {
+            'herding_ros_version': __version__,
+            'parameters': json.dumps(self._parameters_of, sort_keys=True, default=list),
+            'messages_lost': str(self._lost),
+        }
+
+    def _count_lost(self) -> None:
+        if lost := self._topics.take_lost():
+            self._lost += lost
+            self._keep_custom_data()
 
     def _add_topic(self, topic: NewTopic) -> None:
-        self._attempt(lambda: self._bag.add_topic(*topic))
+        self._added.append(topic)
+        self._attempt(lambda: self.bag.add_topic(*topic))
 
     def _write(self, received: list[Received]) -> None:
         """Write messages, unless paused.
 
         Their log time is when they came in, by the simulation's clock if any. What comes before
-        the first /clock gets the time of the latter, however long it takes.
+        the first /clock gets the time of the latter, however long it takes; until then it has
+        wall time.
         """
         self._attempt(lambda: self._write_in_time(received))
 
     def _write_in_time(self, received: list[Received]) -> None:
         in_simulation = self._in_simulation
         for message in received:
-            if in_simulation and message.topic == CLOCK:
-                try:
-                    self._log_clock.follow(message.data)
-                except Refused as error:
-                    self._refused.add(CLOCK, error)  # as a clock: it is recorded
+            if in_simulation and message.topic == self._clock_topic:
+                self._follow_clock(message)
             if not self._paused:
-                self._waiting.append(message)
-                if not in_simulation or self._log_clock.is_known:
-                    self._write_waiting()
+                self._write_message(message)
 
-    def _write_waiting(self) -> None:
-        for message in self._waiting:
+    def _write_message(self, message: Received) -> None:
+        log_ns = self._log_clock.log_time(message.receive_ns)
+        try:
+            self.bag.write(message.topic, message.data, log_ns, message.publish_ns)
+            self._bytes += len(message.data)
+        except ValueError as error:
+            self._refused.add(message.topic, error)
+
+    def _follow_clock(self, message: Received) -> None:
+        is_first = not self._log_clock.is_known
+        try:
+            self._log_clock.follow(message.data)
+        except Refused as error:
+            self._refused.add(self._clock_topic, error)  # as a clock: it is recorded
+            return
+        if is_first and self.bag.message_count:
             log_ns = self._log_clock.log_time(message.receive_ns)
-            try:
-                self._bag.write(message.topic, message.data, log_ns, message.publish_ns)
-                self._bytes += len(message.data)
-            except ValueError as error:
-                self._refused.add(message.topic, error)
-        self._waiting.clear()
+            self.bag = rewritten(self.bag, self._create_bag, self._added, log_ns)
 
     def _publish_diagnostics(self) -> None:
-        self._lost += self._topics.take_lost()
+        self._count_lost()
         values = {
-            'bag': self._bag.path,
-            'files': self._bag.file_count,
+            'bag': self.bag.path,
+            'files': self.bag.file_count,
             'topics': len(self._topics),
-            'messages': self._bag.message_count,
+            'messages': self.bag.message_count,
             'bytes': self._bytes,
             'lost': self._lost,
             'parameters_of': ' '.join(sorted(self._parameters_of)),
             **self._refused.report_values(),
         }
-        level = DiagnosticStatus.WARN if self._refused.counts else DiagnosticStatus.OK
+        if self._lacks_clock and not self._is_clock_missed:
+            self._is_clock_missed = True
+            self.get_logger().warning(f'{self._without_clock}: {_UNTIL_CLOCK}')
+        good = not (self._refused.counts or self._lacks_clock)
+        level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if self._lost or self._failure else level,
-            name='recorder: bag',
+            name=self.status_name('bag'),
             message=self._state + (f', {self._lost} messages lost' if self._lost else ''),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
@@ -257,34 +304,19 @@ class Recorder(HerdingNode):
         self._diagnostics.publish(message)
 
 
-_IN_HELP = [
-    ('bag', 'bag_<time>', 'folder of the bag, which must not exist'),
-    ('topics', '[]', 'full names of the topics to record; none: all'),
-    ('max_bag_size', '0 byte', 'size after which the bag goes on in another file; 0: never'),
-    ('max_bag_duration', '0 s', 'time after which the bag goes on in another file; 0: never'),
-]
-
-
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM, or print help.
 
     Returns 0, 2 when the node cannot start or the bag not be created, 1 when the bag could be
     written no more.
     """
-    command_line.read(
-        'recorder',
-        'Records every topic, as it is on the wire, into a rosbag2 bag (mcap).',
-        'publishes: /diagnostics\nsubscribes to: all topics\nservices: ~/pause, ~/resume',
-        _IN_HELP,
-        'recorder --ros-args -p bag:=my_bag -p use_sim_time:=true',
-        args,
-    )
+    command_line.read('recorder', args)
     # An exception raised by a signal could break a message in two, so there is none.
     stop = note_signals()
     try:
         start_ros(args)
         recorder = Recorder()
-    except (ParameterException, RuntimeError, rclpy_implementation.RCLError) as error:
+    except (ParameterException, RuntimeError, ValueError, rclpy_implementation.RCLError) as error:
         print(f'cannot start: {error}', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
@@ -296,18 +328,20 @@ def main(args: list[str] | None = None) -> int:
         ignore_signals()
 
 
-def _record(recorder: Recorder, stop: threading.Event) -> int:
+def _record(recorder: Recorder, stop: Noted) -> int:
     """Record into a new bag; returns the exit code."""
     log = recorder.get_logger()
-    max_duration_ns = recorder.max_duration * 1_000_000_000
     try:
-        bag = BagWriter(recorder.bag_path, None, recorder.max_size, max_duration_ns)
+        recorder.create_bag()
     except OSError as error:
         log.fatal(str(error))
         return 2
-    log.info(f'recording into {bag.path}')
-    with bag:
-        complete = recorder.record(bag, stop)
+    log.info(f'recording into {recorder.bag.path}')
+    try:
+        complete = recorder.record(stop)
+    finally:
+        recorder.bag.close()
+    bag = recorder.bag
     log.info(
         f'recorded {bag.message_count} messages of {len(bag.topics)} topics, '
         f'{bag.size / 1e6:.1f} MB, in {bag.path}'

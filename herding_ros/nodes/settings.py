@@ -1,22 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of nodes, of the crowd, and of the control, whose defaults presets give.
-
-Apart from parameters.py because the crowd imports compiled kernels, which a recorder does not
-need.
-"""
+"""What the nodes have for parameters besides those of crowd, control and world. No ROS."""
 
 from __future__ import annotations
 
 import dataclasses
 
-from rclpy.node import Node
-
-from herding_ros.control.parameters import Control, CONTROLS
-from herding_ros.model.crowd import Crowd, CROWDS
-from herding_ros.model.parameters import Parameters, quantity
-from herding_ros.model.scenario import GOAL
-
-from .parameters import declare
+from herding_ros.control.lead import FASTEST, SLOWEST
+from herding_ros.control.parameters import CONTROLS, Timing
+from herding_ros.model.crowd import CROWDS
+from herding_ros.model.parameters import Parameters, quantity, TINY
+from herding_ros.model.scenario import GOAL, MOST_DOGS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +24,11 @@ class NodeSettings(Parameters):
         'the controller stamps them as the state is stamped',
     )
     stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
-    wait_for: str = quantity('', 'name of a node (a recorder) to wait for until it is subscribed')
+    wait_for: str = quantity(
+        '',
+        'node (a recorder) to wait for until it is subscribed: its name in the same namespace, '
+        'or its full name',
+    )
 
     def __post_init__(self) -> None:
         """Check what goes together."""
@@ -41,18 +38,62 @@ class NodeSettings(Parameters):
 
 
 @dataclasses.dataclass(frozen=True)
-class Preset(Parameters):
+class SimSettings(NodeSettings):
+    """How the sim behaves as a ROS node."""
+
+    real_time_factor: float = quantity(
+        1.0,
+        'simulated seconds per second when not in lockstep',
+        low=SLOWEST,
+        high=FASTEST,
+        live=True,
+    )
+    command_timeout: float = quantity(
+        0.5, 'a dog stops when its last command is older than this', 's', low=TINY
+    )
+    stop_on_arrival: bool = quantity(False, 'stand still once the flock is home and together')
+    time_limit: float = quantity(0.0, 'stand still after this time; 0: never', 's', low=0.0)
+    end_when_finished: bool = quantity(False, 'end the node instead of standing still')
+
+
+@dataclasses.dataclass(frozen=True)
+class ControllerSettings(NodeSettings, Timing):
+    """How the controller behaves as a ROS node."""
+
+    dogs: int = quantity(5, 'number of dogs', low=1, high=MOST_DOGS)
+    most_sheep: int = quantity(
+        100_000, 'a message with more sheep than this is refused', low=1, high=1_000_000
+    )
+    seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
+
+
+@dataclasses.dataclass(frozen=True)
+class RecorderSettings(Parameters):
+    """What the recorder writes where."""
+
+    bag: str = quantity(
+        'bag_<time>', 'folder of the bag, created at start; it must not exist. ~ is your home'
+    )
+    topics: tuple[str, ...] = quantity(
+        ('',),
+        'full names of the topics to record; none, or an empty one: all of the '
+        "node's namespace, and what ROS shares between namespaces",
+    )
+    max_bag_size: int = quantity(
+        0, 'size after which the bag goes on in another file; 0: never', 'byte', low=0
+    )
+    max_bag_duration: int = quantity(
+        0, 'time after which the bag goes on in another file; 0: never', 's', low=0
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class CrowdPreset(Parameters):
     """Where the crowd's defaults come from."""
 
     preset: str = quantity(
         'cohesive', 'where the defaults of crowd.* come from', choices=tuple(CROWDS)
     )
-
-
-def declare_crowd(node: Node) -> Crowd:
-    """Declare the crowd: `crowd.preset` gives the defaults of the other `crowd.` parameters."""
-    preset = declare(node, Preset(), 'crowd.').preset
-    return declare(node, CROWDS[preset], 'crowd.')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,8 +105,3 @@ class ControlPreset(Parameters):
         "where the method's defaults come from: paper is the paper's own setting",
         choices=tuple(CONTROLS),
     )
-
-
-def declare_control(node: Node) -> Control:
-    """Declare the method of the controller: `preset` gives the defaults of its parameters."""
-    return declare(node, CONTROLS[declare(node, ControlPreset()).preset])

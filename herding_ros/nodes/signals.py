@@ -63,9 +63,28 @@ class Signals:
         self._act = act
 
 
-def note_signals() -> threading.Event:
-    """Return an event that the signals set, and do nothing else."""
-    noted = threading.Event()
+class Noted:
+    """Whether something has happened; unlike an Event it may be set in a signal handler.
+
+    A signal that comes while the handler of another sets an Event waits for a lock that is held by
+    what it interrupts: for ever.
+    """
+
+    def __init__(self) -> None:
+        self._is_set = False
+
+    def set(self) -> None:
+        """Note that it has happened."""
+        self._is_set = True
+
+    def is_set(self) -> bool:
+        """Return whether it has happened."""
+        return self._is_set
+
+
+def note_signals() -> Noted:
+    """Return what the signals set, and do nothing else."""
+    noted = Noted()
     handle(noted.set)
     return noted
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 import sys
 
@@ -12,58 +11,44 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
-from herding_ros.control.lead import FASTEST, SLOWEST
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import distance, spread
-from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up_rollout
 
 from . import command_line, messages
 from .dog_commands import DogCommands
-from .duplicates import sole_publisher
+from .duplicates import ANOTHER_CLOCK, sole_publisher
 from .herding_node import HerdingNode
 from .pacing import Lockstep, Pace, RealTime
-from .parameters import declare
-from .publishing import ADJUSTABLE, CountingPublisher, EVERY_MESSAGE, is_heard, UNWATCHED
+from .parameters import declare, declare_crowd
+from .publishing import (
+    ADJUSTABLE,
+    CLOCK,
+    CountingPublisher,
+    EVERY_MESSAGE,
+    is_heard,
+    UNWATCHED,
+)
 from .running import run
-from .settings import declare_crowd, NodeSettings
+from .settings import SimSettings
 from .simulated_run import SimulatedRun
-
-_IN_HELP = (
-    'sheep', 'dogs', 'seed', 'goal', 'crowd.noise', 'position_noise', 'velocity_noise',
-    'max_speed', 'lockstep', 'real_time_factor', 'stop_on_arrival', 'time_limit',
-)  # fmt: skip
 
 _PERIODS_PER_MARKER = 5
 
 _DIAGNOSTICS_PERIOD = 0.5
 """Wall time between two messages on /diagnostics [s]."""
 
-
-@dataclass(frozen=True)
-class SimSettings(NodeSettings):
-    """How the sim behaves as a ROS node."""
-
-    real_time_factor: float = quantity(
-        1.0,
-        'simulated seconds per second when not in lockstep',
-        low=SLOWEST,
-        high=FASTEST,
-        live=True,
-    )
-    command_timeout: float = quantity(
-        0.5, 'a dog stops when its last command is older than this', 's', low=TINY
-    )
-    stop_on_arrival: bool = quantity(False, 'stand still once the flock is home and together')
-    time_limit: float = quantity(0.0, 'stand still after this time; 0: never', 's', low=0.0)
+_TIME_TO_BE_ASKED = 2.0
+"""Wall time after a run in which a recorder may still ask for parameters [s]."""
 
 
 class Sim(HerdingNode):
@@ -71,7 +56,8 @@ class Sim(HerdingNode):
 
     def __init__(self) -> None:
         """Declare parameters, load the kernels, then wait for subscribers."""
-        super().__init__('sim')
+        # It makes the time, and has no use for it; one file may tell all nodes to use it.
+        super().__init__('sim', parameter_overrides=[Parameter('use_sim_time', value=False)])
         self._settings = settings = declare(self, SimSettings())
         crowd = declare_crowd(self)
         world = declare(self, World())
@@ -103,10 +89,12 @@ class Sim(HerdingNode):
         self._true_sheep = sole_publisher(
             self, 'truth/sheep', lambda: publish(PointCloud2, 'truth/sheep')
         )
+        self._tick = sole_publisher(
+            self, CLOCK, lambda: publish(ClockMessage, CLOCK), ANOTHER_CLOCK
+        )
         self._sheep = publish(PointCloud2, 'sheep')
         self._dogs = [publish(Odometry, f'dog_{m}/odom') for m in numbers]
         self._true_dogs = [publish(Odometry, f'truth/dog_{m}/odom') for m in numbers]
-        self._tick = publish(ClockMessage, '/clock')
         self._markers = publish(MarkerArray, 'markers')
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
 
@@ -145,7 +133,7 @@ class Sim(HerdingNode):
         try:
             goal = messages.goal_in(data, self._settings.frame)
         except ValueError as error:
-            self._refused.add('goal_pose', error)
+            self._refused.add_request('goal_pose', error)
             return
         self._run.move_goal(goal)
         self._notice_change()
@@ -183,6 +171,12 @@ class Sim(HerdingNode):
             self._publish_state()
         if self._run.finished:
             self._publish_diagnostics()
+            if self._settings.end_when_finished:
+                self.create_timer(_TIME_TO_BE_ASKED, self._end, clock=self._wall)
+
+    def _end(self) -> None:
+        if self._run.finished:  # still: a moved goal continues the run
+            self.ended.set_result(None)
 
     def _publish_state(self) -> None:
         simulation, frame = self._run.simulation, self._settings.frame
@@ -224,7 +218,9 @@ class Sim(HerdingNode):
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(
-            messages.diagnostics('sim: herd', simulation.nanoseconds, level, self._doing, values)
+            messages.diagnostics(
+                self.status_name('herd'), simulation.nanoseconds, level, self._doing, values
+            )
         )
 
     @property
@@ -240,16 +236,7 @@ class Sim(HerdingNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node, or print help."""
-    groups = [('', SimSettings()), ('', World()), ('crowd.', Crowd())]
-    command_line.read(
-        'sim',
-        'Moves the herd, and publishes what sensors would observe of it.',
-        'publishes: sheep, dog_<i>/odom, truth/sheep, truth/dog_<i>/odom, /clock, markers, '
-        '/diagnostics\nsubscribes to: dog_<i>/cmd_vel, goal_pose\nservices: ~/reset, ~/pause',
-        command_line.rows(groups, _IN_HELP),
-        'sim --ros-args -p sheep:=20 -p dogs:=3 -p real_time_factor:=10.0',
-        args,
-    )
+    command_line.read('sim', args)
     return run(Sim, args)
 
 

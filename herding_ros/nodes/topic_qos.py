@@ -11,12 +11,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 
-def adapted_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
+def adapted_qos(ends: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
     """Return the strictest profile that every publisher satisfies, as rosbag2 chooses it.
 
-    `depth` is the number of messages that the subscription can hold.
+    Of subscribers it is the one that gets what any of them gets. `depth` is the number of
+    messages that the subscription can hold.
     """
-    offers = [publisher.qos_profile for publisher in publishers]
+    offers = [end.qos_profile for end in ends]
     reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
     durable = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
     return QoSProfile(
@@ -33,6 +34,11 @@ def asks_more(profile: QoSProfile, other: QoSProfile) -> bool:
         profile.reliability == ReliabilityPolicy.RELIABLE != other.reliability
         or profile.durability == DurabilityPolicy.TRANSIENT_LOCAL != other.durability
     )
+
+
+def is_same(profile: QoSProfile, other: QoSProfile) -> bool:
+    """Whether subscriptions with these profiles match the same publishers in the same way."""
+    return profile.reliability == other.reliability and profile.durability == other.durability
 
 
 def qos_map(profile: QoSProfile) -> dict[str, Any]:

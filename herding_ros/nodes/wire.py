@@ -9,19 +9,20 @@ other of its kind but for the stamp and the numbers.
 
 from __future__ import annotations
 
+import array
 from functools import lru_cache
 import struct
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
-from rclpy.serialization import serialize_message
-from std_msgs.msg import Empty
 
 from .refusals import Refused
 
-_ENCODING = serialize_message(Empty())[:4]
-_STAMP = struct.Struct('=iI')
+_ENCODING = b'\0\1\0\0'
+"""CDR, little-endian: a position in a message is counted from here."""
+
+_STAMP = struct.Struct('<iI')
 _SECOND = 1_000_000_000
 _BYTE_ORDERS = {b'\0\0': '>', b'\0\1': '<'}
 """As in `struct`, by the first two bytes; the next two are options without a meaning here."""
@@ -38,6 +39,60 @@ def seconds_and_rest(ns: int) -> tuple[int, int]:
     return divmod(max(-_LAST - 1, min(ns, _LAST)), _SECOND)
 
 
+_FORMATS = {
+    'boolean': '?', 'octet': 'c', 'float': 'f', 'double': 'd', 'int8': 'b', 'uint8': 'B',
+    'int16': 'h', 'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
+}  # fmt: skip
+"""Formats of `struct` by the names of ROS."""
+
+
+def serialized(message: Any) -> bytes:
+    """Return the bytes of a message, with zeros where numbers are aligned.
+
+    rclpy's own serialisation leaves there what was in memory, so that equal messages differ.
+    """
+    data = bytearray(_ENCODING)
+    _append(data, message, '')
+    return bytes(data)
+
+
+def _append(data: bytearray, value: Any, kind: str) -> None:
+    """Append a value of a type such as 'double', 'string', 'uint8[4]' or 'sequence<double>'."""
+    if kind in _FORMATS:
+        number = struct.pack('<' + _FORMATS[kind], value)
+        _align(data, len(number))
+        data += number
+    elif kind == 'string':
+        text = value.encode() + b'\0'
+        _append(data, len(text), 'uint32')
+        data += text
+    elif kind.endswith(('>', ']')):  # sequence<KIND> or sequence<KIND, MOST>, KIND[COUNT]
+        is_sequence = kind.startswith('sequence<')
+        if is_sequence:
+            _append(data, len(value), 'uint32')
+        if isinstance(value, array.array | np.ndarray):
+            if len(value):
+                _align(data, value.itemsize)
+            data += value.tobytes()
+        else:
+            kind = kind[9:-1].split(',')[0] if is_sequence else kind[: kind.index('[')]
+            for each in value:
+                _append(data, each, kind)
+    else:
+        for name, kind in _fields(type(value)):
+            _append(data, getattr(value, name), kind)
+
+
+def _align(data: bytearray, size: int) -> None:
+    data += bytes(-(len(data) - len(_ENCODING)) % size)
+
+
+@lru_cache(maxsize=100)
+def _fields(message_type: Any) -> tuple[tuple[str, str], ...]:
+    """Return name and type of the fields of a message."""
+    return tuple(message_type.get_fields_and_field_types().items())
+
+
 class Template:
     """A message that is sent again and again, with another stamp and other numbers.
 
@@ -45,7 +100,7 @@ class Template:
     """
 
     def __init__(self, message: Any, numbers: DTypeLike) -> None:
-        self._data = bytearray(serialize_message(message))
+        self._data = bytearray(serialized(message))
         offset = len(self._data) - np.dtype(numbers).itemsize
         self.numbers: Any = np.ndarray((), numbers, self._data, offset)
 
@@ -107,6 +162,10 @@ class Reader:
         (length,) = self.numbers('I')
         at = self._pass(length)
         return memoryview(self._data)[at : self._at]
+
+    def flag(self) -> bool:
+        """Return a boolean."""
+        return self._data[self._pass(1)] != 0
 
     def doubles(self, count: int, wanted: int) -> tuple[float, ...]:
         """Return the first `wanted` of the `count` doubles that the message ends with."""

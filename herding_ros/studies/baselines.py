@@ -14,16 +14,7 @@ from herding_ros.report.statistics import Fraction, Mean, significant
 from herding_ros.report.style import COLOURS, legend, new, save
 
 from .experiments.strombom import Strombom
-from .runs import (
-    PLAIN,
-    run_task,
-    safe,
-    SETTINGS,
-    success,
-    summary,
-    times_of_arrivals,
-    with_mapping,
-)
+from .runs import PLAIN, run_task, safe, SETTINGS, success, summary, times_of_arrivals
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
@@ -35,7 +26,7 @@ _DOGS = (2, 5)
 _POLICIES: dict[str, tuple[str, dict[str, Any]]] = {
     'our default': ('planner', SETTINGS['default']),
     'plain paths': ('planner', PLAIN),
-    'without mapping': ('planner', with_mapping(SETTINGS['default'], max_iterations=0)),
+    'without mapping': ('planner', {'mapping.max_iterations': 0}),
     "the paper's setting": ('planner', SETTINGS['paper']),
     'heuristic': ('strombom', {}),
     'no dogs': ('none', {}),

@@ -69,7 +69,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add(
         '--scheduler', metavar='ADDRESS',
-        help='compute on the workers of this Dask scheduler, with the same herding_ros installed',
+        help='compute on the workers of this Dask scheduler, with the same herding_ros installed; '
+        'scheduler and workers run whatever anyone who reaches them sends',
     )  # fmt: skip
     add(
         '--out', type=Path, metavar='DIR', default=Path('studies'),
@@ -94,7 +95,7 @@ def main(args: list[str] | None = None) -> int:
         parser.error(f'NAME must be one of {", ".join([*STUDIES, "all"])}')
     names = list(STUDIES) if given.name == 'all' else [given.name]
     store = Store(given.results or given.out / 'results')
-    wanted = {name: STUDIES[name].tasks(options) for name in names}
+    tasks_of = {name: STUDIES[name].tasks(options) for name in names}
     # Both act as Ctrl-C, which a shell ignores in processes that it starts in the background.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
@@ -102,7 +103,7 @@ def main(args: list[str] | None = None) -> int:
         given.out.mkdir(parents=True, exist_ok=True)
         failed = 0
         if not given.draw:
-            every = {task.key: task for tasks in wanted.values() for task in tasks}
+            every = {task.key: task for tasks in tasks_of.values() for task in tasks}
             todo = [task for task in every.values() if store.load(task) is None]
             done = len(every) - len(todo)
             console.print(
@@ -112,7 +113,7 @@ def main(args: list[str] | None = None) -> int:
             )
             if todo:
                 failed = _compute(todo, store, console, given.jobs, given.scheduler)
-        _write(given.name, wanted, store, given.out, console)
+        _write(given.name, tasks_of, store, given.out, console)
     except KeyboardInterrupt:
         console.print('interrupted; all results so far are stored, and the same command resumes')
         return _INTERRUPTED
@@ -172,11 +173,11 @@ def _keep(outcome: Outcome, store: Store, console: Console) -> bool:
 
 
 def _write(
-    name: str, wanted: dict[str, list[Task]], store: Store, out: Path, console: Console
+    name: str, tasks_of: dict[str, list[Task]], store: Store, out: Path, console: Console
 ) -> None:
     """Draw the stored results, and write the page of a study, or all pages."""
     sections, missing = {}, 0
-    for each, tasks in wanted.items():
+    for each, tasks in tasks_of.items():
         loaded = [(task, store.load(task)) for task in tasks]
         found = [(task, result) for task, result in loaded if result is not None]
         missing += len(loaded) - len(found)

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from herding_ros.control.parameters import Control, Mapping, PAPER
+from herding_ros.control.parameters import Mapping, PAPER
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, COLOURS, GREY, legend, new, save
 
-from .experiments.settings import differences
-from .runs import median_time, PLAIN, run_task, success, with_mapping
+from .runs import median_time, PLAIN, run_task, settings_of, success
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
@@ -30,7 +29,7 @@ _RUN_SIGMAS = (0.01, 0.02)
 _PLANS = {
     'mapped, multilevel': {},
     'mapped, plain paths': PLAIN,
-    'not mapped': with_mapping(PLAIN, max_iterations=0),
+    'not mapped': {**PLAIN, 'mapping.max_iterations': 0},
 }
 """Settings of the controller in whole runs."""
 
@@ -38,7 +37,7 @@ _PLANS = {
 def _control(estimator: str) -> dict[str, Any]:
     """Settings of the paper's window with our mapping, four iterations in any case."""
     mapping = Mapping('output', estimator, 0.0, max_iterations=4, tolerance=0.0)
-    return differences(replace(PAPER, mapping=mapping), Control())
+    return settings_of(replace(PAPER, mapping=mapping))
 
 
 _CONTROLS = {estimator: _control(estimator) for estimator in ('plain', 'multilevel')}
@@ -159,7 +158,7 @@ def _draw_errors_and_centres(every: Results, windows: _Windows, figures: Path) -
         for trace in drawn.values('trace'):
             for single in trace['singles']:
                 place.plot(*np.transpose(single), color=BLUE, linewidth=0.7, alpha=0.5)
-            place.plot(*np.transpose(trace['wanted']), color='black', linestyle='--')
+            place.plot(*np.transpose(trace['target']), color='black', linestyle='--')
         place.set(xlabel='x [m]', ylabel='y [m]')
         place.set_aspect('equal', adjustable='datalim')
     legend(errors)

@@ -11,8 +11,7 @@ from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import table
 from herding_ros.report.style import BLUE, COLOURS, GREY, legend, new, RED, save
 
-from .pictures import draw_runs, draw_times
-from .runs import arrival_row, failures, LIMIT, number, run_task, summary
+from .runs import arrival_row, draw_runs, draw_times, failures, LIMIT, number, run_task, summary
 from .study import Options, Results, Row, Section
 from .task import Task
 
@@ -23,10 +22,7 @@ _AGENTS = (1, 2, 3, 4, 5)
 _LEADERS: dict[str, dict[str, Any]] = {
     'dogs': {'crowd': 'cohesive', 'settings': {}},
     'guides': {'crowd': 'guided', 'settings': {}},
-    'guides, reference.speed 0.05': {
-        'crowd': 'guided',
-        'settings': {'reference': {'speed': 0.05}},
-    },
+    'guides, reference.speed 0.05': {'crowd': 'guided', 'settings': {'reference.speed': 0.05}},
 }
 """The crowd's preset, and differences from the default controller."""
 _COLOURS = dict(zip(_LEADERS, (RED, COLOURS[2], BLUE), strict=True))

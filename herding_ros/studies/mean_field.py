@@ -13,7 +13,7 @@ from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, GREY, legend, new, RED, save
 
-from .study import Options, Results, Row, Section
+from .study import grid, Options, Results, Row, Section, tasks_of
 from .task import Task
 
 TITLE = 'Large flocks: the mean-field limit as coarse model (section 7)'
@@ -47,37 +47,32 @@ def tasks(options: Options) -> list[Task]:
         'density_markers': _DENSITY,
     }
     found = [
-        Task(
-            'mean_field_convergence',
-            {**comparison, 'sheep': sheep, 'seed': seed},
-            cost=0.5 if quick else 4.0 + 3e-7 * sheep**2,
-        )
+        task
         for sheep, usual in _FLOCKS.items()
         if not quick or sheep < 1000
-        for seed in options.seed_range(usual)
-    ]
+        for task in tasks_of(
+            'mean_field_convergence', 0.5 if quick else 4.0 + 3e-7 * sheep**2,
+            grid(sheep=(sheep,), seed=options.seed_range(usual)), **comparison,
+        )
+    ]  # fmt: skip
     window = {
         'sheep': 300 if quick else _MAPPED,
         'dogs': 5,
         'judge_paths': options.path_number(_PATHS),
     }
     limit, all_sheep = _COARSE.values()
-    for markers, sigma in product(_COARSE.values(), _SIGMAS[-1:] if quick else _SIGMAS):
-        # All sheep in the coarse model cost minutes: one noise and one flock suffice.
-        if markers == all_sheep and sigma != _SIGMAS[-1]:
-            continue
+    # All sheep in the coarse model cost minutes: one noise and one flock suffice.
+    for markers, sigmas, flocks, cost in (
+        (limit, _SIGMAS[-1:] if quick else _SIGMAS, 2, 60.0),
+        (all_sheep, _SIGMAS[-1:], 1, 240.0),
+    ):
+        cases = grid(sigma=sigmas, seed=options.seed_range(flocks))
         control = _control(markers, options)
-        cost = 0.5 if quick else 60.0 if markers == limit else 240.0
-        found += [
-            Task(
-                'mean_field_mapping',
-                {**window, 'sigma': sigma, 'seed': seed, 'control': control},
-                cost,
-            )
-            for seed in options.seed_range(2 if markers == limit else 1)
-        ]
+        found += tasks_of(
+            'mean_field_mapping', 0.5 if quick else cost, cases, **window, control=control
+        )
     replan = {
-        'flocks': [20, 300] if quick else list(_TIMED),
+        'flocks': [5, 20] if quick else list(_TIMED),
         'dogs': 5,
         'seed': 0,
         'iterations': 2 if quick else 30,
@@ -86,17 +81,14 @@ def tasks(options: Options) -> list[Task]:
 
 
 def _control(markers: int, options: Options) -> dict[str, Any]:
-    settings: dict[str, Any] = {
-        'mapping': {
-            'paths': options.path_number(_PATHS),
-            'max_iterations': 1 if options.quick else _ITERATIONS,
-            'tolerance': 1e-4,
-        },
-        'coarse': {'markers': markers},
+    settings = {
+        'mapping.paths': options.path_number(_PATHS),
+        'mapping.max_iterations': 1 if options.quick else _ITERATIONS,
+        'mapping.tolerance': 1e-4,
+        'coarse.markers': markers,
     }
-    if options.quick:
-        settings['horizon'] = {'length': 2.0, 'accepted': 1.0}
-    return settings
+    short = {'horizon.length': 2.0, 'horizon.accepted': 1.0}
+    return {**settings, **short} if options.quick else settings
 
 
 def draw(results: Results, figures: Path) -> Section:
@@ -128,25 +120,20 @@ def draw(results: Results, figures: Path) -> Section:
 
 
 def _goals(results: Results, replan: dict[str, dict[str, float]]) -> list[Goal]:
-    found = _mapped(results, _SIGMAS[-1], _COARSE['mean-field limit'])
-    ratios = [
-        each['after'] / each['before'] for each in found.of('mean_field_mapping', sheep=_MAPPED)
-    ]
+    mapped = _mapped(results, _SIGMAS[-1], _COARSE['mean-field limit'])
+    mapped = mapped.of('mean_field_mapping', sheep=_MAPPED)
+    ratios = [each['after'] / each['before'] for each in mapped]
     few, many = replan.get('200'), replan.get('10000')
     costs = [sum(many.values()) / sum(few.values())] if few and many else []
-    what = (
-        f'N = {_MAPPED}, σ = {_SIGMAS[-1]:g}, mean-field coarse model, at most {_ITERATIONS} '
-        'iterations: error after / before'
-    )
     return [
-        Goal(
-            words,
-            f'≤ {bound:g}',
-            max(measured, default='–'),
-            max(measured) <= bound if measured else None,
-        )
-        for words, bound, measured in (
-            (what, _BOUND, ratios),
+        Goal(text, f'≤ {bound:g}', max(found, default='–'), max(found) <= bound if found else None)
+        for text, bound, found in (
+            (
+                f'N = {_MAPPED}, σ = {_SIGMAS[-1]:g}, mean-field coarse model, at most '
+                f'{_ITERATIONS} iterations: error after / before',
+                _BOUND,
+                ratios,
+            ),
             ('Replan for N = 10,000 / for N = 200, the fine model apart', 1.0, costs),
         )
     ]
@@ -158,7 +145,7 @@ def _errors(results: Results, sheep: int, *path: str) -> list[float]:
 
 def _mapped(results: Results, sigma: float, markers: int) -> Results:
     windows = results.of('mean_field_mapping', sigma=sigma)
-    return windows.where(lambda task: task.parameters['control']['coarse']['markers'] == markers)
+    return windows.where(lambda task: task.parameters['control']['coarse.markers'] == markers)
 
 
 def _rate(results: Results, *path: str) -> float | None:

@@ -14,8 +14,17 @@ from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, legend, new, RED, save
 
-from .pictures import draw_times
-from .runs import arrival_row, failures, LIMIT, median_time, run_task, safe, success, summary
+from .runs import (
+    arrival_row,
+    draw_times,
+    failures,
+    LIMIT,
+    median_time,
+    run_task,
+    safe,
+    success,
+    summary,
+)
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
@@ -34,7 +43,7 @@ def _settings(expected: float) -> dict[str, Any]:
     """Settings of a controller that expects so much noise [m and m/s]; 0: no filter."""
     if not expected:
         return {}
-    return {'sensor': {'position_noise': expected, 'velocity_noise': expected}}
+    return {'sensor.position_noise': expected, 'sensor.velocity_noise': expected}
 
 
 def _expected(plan: str, noise: float) -> float:
@@ -103,7 +112,7 @@ def _table(runs: _Runs, dogs: int) -> str:
 
 
 def _slowdown(found: Results, exact: Results) -> tuple[Mean, int]:
-    """Return the mean logarithm of the time, relative to that of the same flock seen exactly.
+    """Return the mean logarithm of the time, relative to that of the same flock observed exactly.
 
     And the number of flocks in it: those that arrived safely both times.
     """
@@ -154,7 +163,7 @@ def _error_table(runs: _Runs) -> str:
             **{
                 words.format(name): _error(found, name, quantity)
                 for words, quantity in columns.items()
-                for name in ('seen', 'believed')
+                for name in ('observed', 'estimated')
             },
         }
         for dogs, noise in product(_DOGS, _NOISES[1:])
@@ -170,8 +179,8 @@ def _misjudged_table(runs: _Runs) -> str:
             'expected noise [m, m/s]': f'{expected:g}',
             'safe arrivals': success(found),
             'median time [s]': median_time(found),
-            'error of believed positions [m]': _error(found, 'believed', 'position'),
-            'of velocities [m/s]': _error(found, 'believed', 'velocity'),
+            'error of estimated positions [m]': _error(found, 'estimated', 'position'),
+            'of velocities [m/s]': _error(found, 'estimated', 'velocity'),
         }
         for dogs, expected in product(_DOGS, sorted({0.0, noise, *_MISJUDGED}))
         if len(found := runs[dogs, noise, expected])

@@ -1,29 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the studies of whole runs share: settings, the criterion of success, tables."""
+"""What the studies of whole runs share: settings, criterion of success, tables, figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 import math
+from pathlib import Path
 from typing import Any
+
+from matplotlib.axes import Axes
+import numpy as np
 
 from herding_ros.control.parameters import Control, PAPER
 from herding_ros.model.flock import ARRIVAL_DISTANCE
 from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Fraction, Mean, Median, significant
+from herding_ros.report.style import draw_goal, draw_herd, draw_paths, new, save
 
-from .experiments.settings import differences
 from .study import Options, Results, Row
 from .task import Task
 
-PLAIN: dict[str, Any] = {'mapping': {'estimator': 'plain', 'standard_error': 0.0}}
-"""Settings of a mapping that sees the mean of plain paths, as the paper's does."""
 
-SETTINGS: dict[str, dict[str, Any]] = {
-    'default': {},
-    'paper': differences(PAPER, Control()),
-}
+def settings_of(control: Control) -> dict[str, Any]:
+    """Return the parameters by dotted names in which a controller is not the default one."""
+    usual = Control().flat()
+    return {name: value for name, value in control.flat().items() if value != usual[name]}
+
+
+PLAIN: dict[str, Any] = {'mapping.estimator': 'plain', 'mapping.standard_error': 0.0}
+"""Settings of a mapping that uses the mean of plain paths, as the paper's does."""
+
+SETTINGS: dict[str, dict[str, Any]] = {'default': {}, 'paper': settings_of(PAPER)}
 """Settings of the controller by name, as differences from its defaults."""
 
 NAMES = {'default': 'our default', 'paper': "the paper's setting"}
@@ -51,11 +59,6 @@ def run_task(options: Options, cost: float, **parameters: Any) -> Task:
     if parameters.get('policy', 'planner') == 'planner':
         usual['paths'] = options.path_number(100)
     return Task('herding', {**usual, **parameters}, cost)
-
-
-def with_mapping(settings: dict[str, Any], **changes: Any) -> dict[str, Any]:
-    """Return settings with other parameters of the mapping."""
-    return {**settings, 'mapping': {**settings.get('mapping', {}), **changes}}
 
 
 def point(goal: Iterable[float]) -> str:
@@ -152,3 +155,35 @@ def _failures(runs: Results, agents: str) -> list[dict[str, str]]:
             }
         )
     return sorted(rows, key=lambda row: tuple(row.values()))
+
+
+def draw_runs(
+    runs: Mapping[str, Results], goal: Sequence[float], path: Path, width: float, height: float
+) -> None:
+    """Draw the runs with seed 0 of six groups, named by the keys, side by side."""
+    figure, axes = new(3, 2, width, height)
+    for place, (name, found) in zip(axes.flat, runs.items(), strict=True):
+        run = found.by_seed().get(0)
+        if run is None:
+            place.set_axis_off()
+            continue
+        dogs, centre = (np.array(run['paths'][each]) for each in ('dogs', 'centre'))
+        draw_paths(place, dogs, centre)
+        draw_herd(place, run['paths']['first'], dogs[0], 0.3)
+        draw_herd(place, run['paths']['last'], dogs[-1])
+        draw_goal(place, goal)
+        end = '' if run['arrived'] else ', not there'
+        place.set_title(f'{name}, {run["duration"]:.0f} s{end}', fontsize=9)
+    save(figure, path)
+
+
+def draw_times(
+    axes: Axes, at: float, runs: Results, limit: float, half_width: float, colour: str, label: str
+) -> None:
+    """Draw the times of arrival above one place, and a bar at their median."""
+    found = times(runs)
+    if found:
+        shown = np.minimum(found, limit)
+        axes.plot(np.full(len(found), at), shown, '.', color=colour, alpha=0.6, label=label)
+        middle = min(float(np.median(found)), limit)
+        axes.plot([at - half_width, at + half_width], [middle, middle], color=colour)

@@ -16,7 +16,7 @@ from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Fraction, Mean, Median
 from herding_ros.report.style import BLUE, draw_goal, draw_herd, new, save
 
-from .runs import NAMES, run_task, SETTINGS, with_mapping
+from .runs import NAMES, run_task, SETTINGS
 from .study import grid, Options, Results, Row, Section
 from .task import Task
 
@@ -28,14 +28,11 @@ _SNAPSHOTS = (10.0, 25.0, 50.0, 75.0, 125.0, 250.0)
 _HELD_DISTANCE, _HELD_SPREAD = 0.1, 1.2
 
 
-def _settings(name: str) -> dict[str, Any]:
-    """Return gamma = 1e-3 and at most two corrections of a plan, as in the paper."""
-    settings = SETTINGS[name]
-    weights = {**settings.get('weights', {}), 'control': 1e-3}
-    return with_mapping({**settings, 'weights': weights}, max_iterations=2)
-
-
-_SETTINGS = {name: _settings(name) for name in NAMES}
+_SETTINGS = {
+    name: {**settings, 'weights.control': 1e-3, 'mapping.max_iterations': 2}
+    for name, settings in SETTINGS.items()
+}
+"""With gamma = 1e-3 and at most two corrections of a plan, as in the paper."""
 
 
 def tasks(options: Options) -> list[Task]:

@@ -7,17 +7,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from herding_ros.control.parameters import Control, Mapping, PAPER
+from herding_ros.control.parameters import Mapping, PAPER
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Mean, significant
 from herding_ros.report.style import COLOURS, legend, new, save
 
 from .direct_comparison import comparison, cost_shares, draw_costs, Pair, SENSITIVITY, shares
-from .experiments.settings import differences
-from .study import grid, Options, Results, Row, Section
+from .runs import settings_of
+from .study import grid, Options, Results, Row, Section, tasks_of
 from .task import Task
 
 TITLE = 'Influence of the noise (Table 1, Figure "compare iterations")'
@@ -47,8 +48,7 @@ _MAPPINGS = {
 All see plain paths as the paper's does, except the last.
 """
 _CONTROLS = {
-    name: differences(replace(PAPER, mapping=mapping), Control())
-    for name, mapping in _MAPPINGS.items()
+    name: settings_of(replace(PAPER, mapping=mapping)) for name, mapping in _MAPPINGS.items()
 }
 _WORDS = {
     'output': 'output mapping, 4 iterations',
@@ -56,7 +56,14 @@ _WORDS = {
     'paper': "aggressive mapping, the paper's stopping rule",
     'multilevel': 'output mapping, 4 iterations, multilevel Monte Carlo',
 }
-_VARIANT_SIGMAS = (0.03,)
+_VARIANT_SIGMA = 0.03
+_SWITCHES: dict[str, Sequence[Any]] = {
+    'optimiser': ('spg', 'ncg'),
+    'observable': ('centre', 'individuals'),
+    'common_numbers': (True, False),
+    'broyden': (True, False),
+}
+"""What can be exchanged in Algorithm 1."""
 
 
 def tasks(options: Options) -> list[Task]:
@@ -69,57 +76,31 @@ def tasks(options: Options) -> list[Task]:
         'dogs': 2 if quick else 5,
         'judge_paths': 16 if quick else 1000,
     }
-    directs = [
-        Task(
-            'direct',
-            {
-                **common,
-                **case,
-                'paths': paths,
-                'iterations': 4 if quick else 100,
-                'control': _CONTROLS['output'],
-            },
-            cost=0.05 if quick else 0.33 * paths,
-        )
-        for case in grid(sigma=sigmas, seed=seeds)
-    ]
+    cases = list(grid(sigma=sigmas, seed=seeds))
+    directs = tasks_of(
+        'direct', 0.05 if quick else 0.33 * paths, cases, **common,
+        paths=paths, iterations=4 if quick else 100, control=_CONTROLS['output'],
+    )  # fmt: skip
     windows = [
-        Task(
-            'window',
-            {
-                **common,
-                **case,
-                'trace': name == 'output' and case['paths'] == paths,
-                'control': control,
-            },
-            cost=0.1 if quick else 2.3 + 0.0016 * case['paths'],
+        task
+        for (name, control), number in product(
+            _CONTROLS.items(), (paths,) if quick else (paths, 10 * paths)
         )
-        for name, control in _CONTROLS.items()
-        for case in grid(
-            paths=(paths,) if quick else (paths, 10 * paths), sigma=sigmas, seed=seeds
+        for task in tasks_of(
+            'window', 0.1 if quick else 2.3 + 0.0016 * number, cases, **common,
+            paths=number, control=control, trace=name == 'output' and number == paths,
         )
-    ]
-    variants = [
-        Task(
-            'variant',
-            {
-                **common,
-                **case,
-                'paths': paths,
-                'iterations': 1 if quick else _ITERATIONS,
-                'control': _CONTROLS['paper'],
-            },
-            cost=0.2 if quick else 3.5,
-        )
-        for case in grid(
-            optimiser=('spg', 'ncg'),
-            observable=('centre',) if quick else ('centre', 'individuals'),
-            common_numbers=(True, False),
-            broyden=(True, False),
-            sigma=_VARIANT_SIGMAS,
+    ]  # fmt: skip
+    variants = tasks_of(
+        'variant', 0.2 if quick else 3.5,
+        grid(
+            **(_SWITCHES | {'observable': ('centre',)} if quick else _SWITCHES),
+            sigma=(_VARIANT_SIGMA,),
             seed=seeds[:1] if quick else seeds,
-        )
-    ]
+        ),
+        **common, paths=paths, iterations=1 if quick else _ITERATIONS,
+        control=_CONTROLS['paper'],
+    )  # fmt: skip
     return directs + windows + variants
 
 
@@ -164,36 +145,38 @@ def _pairs(results: Results, paths: int, sigma: float) -> list[Pair]:
 def _main_rows(results: Results, paths: int, sigmas: Sequence[float]) -> list[dict[str, object]]:
     """Return the rows of Table 1 for a number of paths, the paper's among ours."""
 
-    def line(mapping: str, quantity: str, cell: Callable[[float], object]) -> dict[str, object]:
-        cells = {f'σ = {sigma:g}': cell(sigma) for sigma in sigmas}
-        return {'mapping': mapping, 'quantity': quantity, **cells}
+    def line(mapping: str, quantity: str, cells: dict[float, Any]) -> dict[str, object]:
+        found = {f'σ = {sigma:g}': cells.get(sigma, 'none') for sigma in sigmas}
+        return {'mapping': mapping, 'quantity': quantity, **found}
 
     every = {name: {s: _mapped(results, name, paths, s) for s in sigmas} for name in _WORDS}
     # The deterministic control is the same for every mapping.
     unmapped = next(found for found in every.values() if any(map(len, found.values())))
-    before, after = _PAPER_BEFORE.get(paths, {}), _PAPER_AFTER.get(paths, {})
     rows = [
-        line(f'**{paths} paths**', 'before, seen', lambda s: unmapped[s].mean('before')),
-        line('', '*the paper*', lambda s: before.get(s, 'none')),
-        line('', 'before, unseen', lambda s: unmapped[s].mean('judged_before')),
+        line(
+            f'**{paths} paths**',
+            'before, seen',
+            {s: each.mean('before') for s, each in unmapped.items()},
+        ),
+        line('', '*the paper*', _PAPER_BEFORE.get(paths, {})),
+        line('', 'before, unseen', {s: e.mean('judged_before') for s, e in unmapped.items()}),
     ]
+    quantities: dict[str, Callable[[Results], Mean]] = {
+        'iterations': lambda each: each.mean('iterations'),
+        'residual': lambda each: each.mean('residual'),
+        'after, seen': lambda each: each.mean('after'),
+        'after, unseen': lambda each: each.mean('judged_after'),
+        'after / before, seen': lambda each: each.ratio('after', 'before'),
+        'after / before, unseen': lambda each: each.ratio('judged_after', 'judged_before'),
+    }
     for name, words in _WORDS.items():
-        found = every[name]
-        quantities: dict[str, Callable[[Results], Mean]] = {
-            'iterations': lambda each: each.mean('iterations'),
-            'residual': lambda each: each.mean('residual'),
-            'after, seen': lambda each: each.mean('after'),
-            'after, unseen': lambda each: each.mean('judged_after'),
-            'after / before, seen': lambda each: each.ratio('after', 'before'),
-            'after / before, unseen': lambda each: each.ratio('judged_after', 'judged_before'),
-        }
         for k, (quantity, of) in enumerate(quantities.items()):
-            cells = {s: of(found[s]) for s in sigmas}
-            rows.append(line('' if k else words, quantity, cells.__getitem__))
+            cells = {sigma: of(found) for sigma, found in every[name].items()}
+            rows.append(line('' if k else words, quantity, cells))
     return [
         *rows,
-        line('*the paper*', 'iterations', lambda s: _PAPER_ITERATIONS.get(s, 'none')),
-        line('', 'after', lambda s: after.get(s, 'none')),
+        line('*the paper*', 'iterations', _PAPER_ITERATIONS),
+        line('', 'after', _PAPER_AFTER.get(paths, {})),
     ]
 
 
@@ -208,14 +191,14 @@ def _draw_centres(mapped: Results, figures: Path) -> None:
     traces = {task.parameters['sigma']: result['trace'] for task, result in traced.entries}
     for (where, away), key in zip(axes, ('before', 'after'), strict=True):
         for colour, (sigma, trace) in zip(COLOURS, traces.items(), strict=False):
-            found, wanted = np.array(trace[key]), np.array(trace['wanted'])
+            found, target = np.array(trace[key]), np.array(trace['target'])
             where.plot(*found.T, color=colour)
-            deviation = 1e3 * np.linalg.norm(found - wanted, axis=1)
+            deviation = 1e3 * np.linalg.norm(found - target, axis=1)
             away.plot(0.5 * np.arange(len(found)), deviation, color=colour, label=f'σ = {sigma:g}')
         for trace in list(traces.values())[:1]:
-            wanted = np.array(trace['wanted'])
-            where.plot(*wanted.T, color='black', linestyle='--', linewidth=0.8)
-            where.plot(*wanted[0], 'x', color='black')
+            target = np.array(trace['target'])
+            where.plot(*target.T, color='black', linestyle='--', linewidth=0.8)
+            where.plot(*target[0], 'x', color='black')
         legend(away)
         where.set(xlabel='x [m]', ylabel='y [m]')
         where.set_aspect('equal', adjustable='datalim')
@@ -228,37 +211,36 @@ def _draw_centres(mapped: Results, figures: Path) -> None:
 def _variant_table(results: Results, paths: int) -> str:
     """Return the table of variants: every combination of the four switches."""
     variants = results.of('variant')
-    sigmas = variants.parameter('sigma')
-    last, chosen = 'last, seen, σ = {:g}', 'chosen, unseen, σ = {:g}'
+    last, chosen = (
+        f'{words}, σ = {_VARIANT_SIGMA:g}' for words in ('last, seen', 'chosen, unseen')
+    )
     calls = 'values and gradients in extraction'
-    switches = ('extraction', 'observable', 'noise', 'matrix')
-    unmapped = dict.fromkeys(switches, '') | {'extraction': 'none: the deterministic control'}
-    first: dict[str, object] = dict(unmapped)
-    for sigma in sigmas:
-        # The deterministic control is the same for every mapping: once for each flock.
-        windows = results.of('window', paths=paths, sigma=sigma).by_seed().values()
-        first[last.format(sigma)] = Mean.of([each['before'] for each in windows])
-        first[chosen.format(sigma)] = Mean.of([each['judged_before'] for each in windows])
-    rows = [{**first, calls: ''}]
-    for case in grid(
-        optimiser=('spg', 'ncg'),
-        observable=('centre', 'individuals'),
-        common_numbers=(True, False),
-        broyden=(True, False),
-    ):
+    # The deterministic control is the same for every mapping: once for each flock.
+    windows = results.of('window', paths=paths, sigma=_VARIANT_SIGMA).by_seed().values()
+    rows: list[dict[str, object]] = [
+        {
+            'extraction': 'none: the deterministic control',
+            'observable': '',
+            'noise': '',
+            'matrix': '',
+            last: Mean.of([each['before'] for each in windows]),
+            chosen: Mean.of([each['judged_before'] for each in windows]),
+            calls: '',
+        }
+    ]
+    for case in grid(**_SWITCHES):
         found = variants.of('variant', **case)
-        cells = (
-            case['optimiser'].upper(),
-            case['observable'],
-            'common' if case['common_numbers'] else 'new each time',
-            'Broyden' if case['broyden'] else 'B = I',
+        rows.append(
+            {
+                'extraction': case['optimiser'].upper(),
+                'observable': case['observable'],
+                'noise': 'common' if case['common_numbers'] else 'new each time',
+                'matrix': 'Broyden' if case['broyden'] else 'B = I',
+                last: Mean.of([each['misfits'][-1] for each in found]),
+                chosen: found.mean('judged', 'error'),
+                calls: found.mean('calls', 'extraction'),
+            }
         )
-        row: dict[str, object] = dict(zip(switches, cells, strict=True))
-        for sigma in sigmas:
-            here = found.of('variant', sigma=sigma)
-            row[last.format(sigma)] = Mean.of([each['misfits'][-1] for each in here])
-            row[chosen.format(sigma)] = here.mean('judged', 'error')
-        rows.append({**row, calls: found.mean('calls', 'extraction')})
     return table(rows)
 
 
@@ -309,8 +291,8 @@ def _goals(results: Results) -> list[Goal]:
         slope = _growth({s: before[s].value for s in SIGMAS})
         paper = _growth(_PAPER_BEFORE[1000])
         what = 'Error before mapping: exponent p of its growth σ^p'
-        wanted = f"about 2 (the paper's: {paper:.2f})"
-        goals.append(Goal(what, wanted, f'{slope:.2f}', abs(slope - paper) <= 0.3))
+        about = f"about 2 (the paper's: {paper:.2f})"
+        goals.append(Goal(what, about, f'{slope:.2f}', abs(slope - paper) <= 0.3))
     return goals
 
 

@@ -69,5 +69,5 @@ class Store:
                 file.write(text + '\n')
             os.replace(temporary, path)
         except BaseException:
-            os.unlink(temporary)
+            Path(temporary).unlink(missing_ok=True)  # a signal may have come after it was moved
             raise

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -39,6 +39,13 @@ def grid(**values: Sequence[Any]) -> Iterator[dict[str, Any]]:
         yield dict(zip(values, each, strict=True))
 
 
+def tasks_of(
+    kind: str, cost: float, cases: Iterable[Mapping[str, Any]], **common: Any
+) -> list[Task]:
+    """Return a task for each case, whose parameters come on top of the common ones."""
+    return [Task(kind, {**common, **case}, cost) for case in cases]
+
+
 @dataclass(frozen=True)
 class Results:
     """Tasks of a study with their results; tasks without a result are left out."""
@@ -54,9 +61,9 @@ class Results:
             )
         )
 
-    def where(self, wanted: Callable[[Task], bool]) -> Results:
+    def where(self, condition: Callable[[Task], bool]) -> Results:
         """Return those whose task satisfies a condition."""
-        return Results([(task, result) for task, result in self.entries if wanted(task)])
+        return Results([(task, result) for task, result in self.entries if condition(task)])
 
     def by_seed(self) -> dict[int, Result]:
         """Return the results by the seeds of their tasks."""

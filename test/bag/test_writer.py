@@ -30,12 +30,10 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from ruamel.yaml import YAML
 
-from herding_ros.bag import part, records
-from herding_ros.bag.inspection import inspect
-from herding_ros.bag.part import CHUNK_SIZE, LARGEST_MESSAGE, RESERVE
-from herding_ros.bag.records import MOST_BYTES
+from herding_ros.bag import inspection, writer
+from herding_ros.bag.inspection import inspect, MOST_BYTES
 from herding_ros.bag.recovery import recover
-from herding_ros.bag.writer import BagWriter
+from herding_ros.bag.writer import BagWriter, CHUNK_SIZE, LARGEST_MESSAGE, RESERVE
 
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 PROFILE: dict[str, Any] = {
@@ -393,8 +391,8 @@ def test_message_that_could_not_be_read_back_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     margin = MOST_BYTES - LARGEST_MESSAGE
-    monkeypatch.setattr(records, 'MOST_BYTES', 2 * margin)
-    monkeypatch.setattr(part, 'LARGEST_MESSAGE', margin)
+    monkeypatch.setattr(inspection, 'MOST_BYTES', 2 * margin)
+    monkeypatch.setattr(writer, 'LARGEST_MESSAGE', margin)
     with BagWriter(tmp_path / 'bag') as bag:
         for k in range(100):  # the descriptions of topics are in the same chunk
             bag.add_topic(f'/{k}', f'a/msg/T{k}', 'string data\n' * 300, [PROFILE] * 3, HASH)

@@ -13,10 +13,10 @@ import pytest
 
 from herding_ros.control.closed_loop import as_policy
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Control, Horizon, Sensor
+from herding_ros.control.parameters import Control, Horizon, OutOfStepError, Sensor, Timing
 from herding_ros.control.pilot import Decision, Observed
 from herding_ros.control.plan import Plan
-from herding_ros.control.real_time_pilot import RealTimePilot, Timing
+from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import never, NoTimeFor, Status
 from herding_ros.control.solve_report import SolveReport
@@ -212,16 +212,28 @@ def test_lockstep_starts_afresh_when_time_is_set_back() -> None:
 
 def test_lockstep_takes_a_step_back_of_less_than_a_control_period_for_jitter() -> None:
     pilot, planner = lockstep()
-    for t in (0.0, 1.0, 0.95, 1.05):
+    for t in (0.0, 0.1, 1.0, 0.95, 1.05):
         pilot.decide(seen(t))
     assert len(planner.solved) == 1
     assert planner.restarts == 1
 
 
+def test_lockstep_notices_another_period_than_its_own_also_after_a_reset() -> None:
+    pilot, _ = lockstep()
+    for t in (5.0, 5.0, 5.1, 5.4, 0.0):  # the first one may be repeated
+        pilot.decide(seen(t))
+    message = (
+        r'control_period .* must be dt \* substeps of the sim in lockstep, 0\.2 s, got 0\.1 s'
+    )
+    with pytest.raises(OutOfStepError, match=message):
+        pilot.decide(seen(0.2))
+
+
 @pytest.mark.parametrize('what', ['error', 'nan'])
 def test_lockstep_counts_a_failed_solve_and_plays_the_last_plan_on(what: str) -> None:
     pilot, planner = lockstep()
-    pilot.decide(seen(0.0))
+    for t in (0.0, 0.1):
+        pilot.decide(seen(t))
     if what == 'error':
         planner.error = ArithmeticError('the solver is broken')
     else:
@@ -264,7 +276,8 @@ def test_lockstep_uses_new_parameters_from_the_next_plan_on() -> None:
 
 def test_a_stopped_pilot_ends_its_solve_early() -> None:
     pilot, planner = lockstep()
-    pilot.decide(seen(0.0))
+    for t in (0.0, 0.1):
+        pilot.decide(seen(t))
     assert not planner.stopped
     pilot.stop()
     pilot.decide(seen(2.0))

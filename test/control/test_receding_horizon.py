@@ -99,6 +99,21 @@ def test_without_noise_the_coarse_plan_is_kept(method: str, optimiser: str) -> N
     np.testing.assert_array_equal(window.plan.u, coarse.plan.u)
 
 
+@pytest.mark.parametrize('sheep', [10, 1600])
+def test_a_flock_far_from_the_origin_is_planned_for_like_a_near_one(sheep: int) -> None:
+    """In UTM coordinates doubles resolve 1 nm; no sum of squares may lose more than that."""
+    offset = np.array([4.1e5, 5.5e6])
+    state = herd(sheep, 3)
+    far = HerdState(state.x + offset, state.v, state.d + offset)
+    near = HerdState(far.x - offset, far.v, far.d - offset)  # rounded likewise
+    goal = offset + GOAL
+    expected = RecedingHorizon(Crowd(), SMALL, goal - offset).solve(near, 0.0)
+    window = RecedingHorizon(Crowd(), SMALL, goal).solve(far, 0.0)
+    assert window.report.status is expected.report.status
+    np.testing.assert_allclose(window.plan.u, expected.plan.u, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(window.centre - offset, expected.centre, rtol=0.0, atol=1e-6)
+
+
 @pytest.mark.parametrize('seed', range(2))
 def test_mapping_lowers_the_error_fivefold(seed: int) -> None:
     control = dataclasses.replace(PAPER, mapping=Mapping(max_iterations=4))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
@@ -159,3 +160,18 @@ def test_the_simulated_flock_feels_it() -> None:
             simulation.advance(np.zeros((2, 2)))
         ends.append(simulation.state.x)
     assert np.abs(ends[0] - ends[1]).max() > 0.05
+
+
+def test_a_force_that_moved_to_another_module_is_compiled_again() -> None:
+    """What Numba has stored for it refers to the module by name, which may not exist any more."""
+
+    def form_in(module: str) -> Form:
+        def force(x, y, values):  # type: ignore[no-untyped-def]
+            return 0.0, 0.0
+
+        force.__module__ = module
+        made = register('moved', force, ripples_product)()
+        assert isinstance(made, Form)
+        return made
+
+    assert form_in('pasture').key == form_in('pasture').key != form_in('meadow').key

@@ -17,21 +17,20 @@ CLAIM = 1.5
 
 find = HerdingNode.get_publishers_info_by_topic
 unseen: set[tuple[int, ...]] = set()
-looking = True
+found: set[str] = set()
 
 
-def blind_wait(node: HerdingNode, topic: str) -> None:
+def blind_wait(node: HerdingNode, topic: str, _: str) -> None:
     unseen.update(tuple(info.endpoint_gid) for info in find(node, topic))
 
 
 def blind_find(node: HerdingNode, topic: str, *args: Any) -> list[Any]:
-    """Hide others until the node has found its own publisher."""
-    global looking
-    found = find(node, topic, *args)
-    if looking and unseen:
-        looking = False
-        return [info for info in found if tuple(info.endpoint_gid) not in unseen]
-    return found
+    """Hide others until the node has found its own publisher of the topic."""
+    infos = find(node, topic, *args)
+    if unseen and topic not in found:
+        found.add(topic)
+        return [info for info in infos if tuple(info.endpoint_gid) not in unseen]
+    return infos
 
 
 if __name__ == '__main__':

@@ -14,15 +14,14 @@ import sys
 import time
 from typing import Any
 
+from forked import Forked, NODES
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-from herding_ros.nodes.running import use_our_profiles
+from herding_ros.nodes.middleware import start_ros
 
-# The test's own node, too, sends at once again what got lost, and shares no lock with others.
-use_our_profiles()
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 
 LIMIT = 60.0
@@ -60,11 +59,26 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
 class Process:
     """A program of ours as a process of its own, its output in a file."""
 
-    def __init__(self, command: list[str], log: Path, domain: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        arguments: list[str],
+        log: Path,
+        domain: int,
+        program: Path | None,
+        afresh: bool,
+    ) -> None:
         self._log = log
+        log.touch()
+        env = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+        self.process: Forked | subprocess.Popen[bytes]
+        if program is None and name in NODES and not afresh:
+            self.process = Forked(name, arguments, env, log)
+            return
+        module = ['-m', f'herding_ros.nodes.{name}'] if program is None else [str(program)]
         self.process = subprocess.Popen(
-            [sys.executable, *command],
-            env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
+            [sys.executable, *module, *arguments],
+            env=env,
             stdin=subprocess.DEVNULL,
             stdout=log.open('wb'),
             stderr=subprocess.STDOUT,
@@ -116,20 +130,27 @@ def wait_until() -> Callable[[Callable[[], object]], None]:
 
 @contextmanager
 def _starting(folder: Path, domain: int) -> Iterator[Callable[..., Process]]:
-    """Give a function that starts programs; they are ended with the context."""
+    """Give a function that starts programs; they are ended with the context.
+
+    Nodes are forks of a process that has loaded them, unless they shall start `afresh`.
+    """
     started: list[Process] = []
 
     def start_one(
-        name: str, *arguments: str, program: Path | None = None, **parameters: Any
+        name: str,
+        *arguments: str,
+        program: Path | None = None,
+        afresh: bool = False,
+        **parameters: Any,
     ) -> Process:
-        module = ['-m', f'herding_ros.nodes.{name}']
-        words = [*(module if program is None else [str(program)]), *arguments]
+        words = list(arguments)
         if parameters:
             words.append('--ros-args')
         for key, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             words += ['-p', f'{key.replace("__", ".")}:={text}']
-        started.append(Process(words, folder / f'{name}_{len(started)}.log', domain))
+        log = folder / f'{name}_{len(started)}.log'
+        started.append(Process(name, words, log, domain, program, afresh))
         return started[-1]
 
     try:
@@ -174,7 +195,8 @@ class Peer:
 
     def __init__(self, domain: int) -> None:
         self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain)
+        # It, too, sends at once again what got lost, and shares no lock with others.
+        start_ros(context=self._context, domain_id=domain)
         self.node = rclpy.create_node('peer', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)

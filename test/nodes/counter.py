@@ -17,7 +17,7 @@ import rclpy
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from herding_ros.nodes.running import start_ros
+from herding_ros.nodes.middleware import start_ros
 
 PERIOD = 0.001
 

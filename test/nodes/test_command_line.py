@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from importlib import import_module
+import subprocess
+import sys
 
 import pytest
 import rclpy
@@ -23,6 +25,19 @@ def test_help_is_printed_and_nothing_is_started(
     for words in (f'usage: {name} ', '/diagnostics', 'subscribes to', f'{name} --ros-args -p'):
         assert words in text
     assert not rclpy.ok()
+
+
+@pytest.mark.parametrize('name', EVERY_NODE)
+def test_help_loads_neither_ros_nor_compiled_code(name: str) -> None:
+    asked = f"""import sys; from herding_ros import programs
+try: programs.{name}()
+finally: print(*sys.modules)"""
+    done = subprocess.run(
+        [sys.executable, '-c', asked, '--help'], capture_output=True, text=True, check=True
+    )
+    loaded = set(done.stdout.split())
+    assert {f'{name}', 'herding_ros.nodes.command_line'} <= loaded
+    assert not {'rclpy', 'numba', 'scipy', 'matplotlib'} & loaded
 
 
 @pytest.mark.parametrize('name', EVERY_NODE)

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rosgraph_msgs.msg import Clock
 
 from herding_ros.nodes import duplicates
 from herding_ros.nodes.running import CannotGoOnError
@@ -20,8 +21,8 @@ SOLE_TOPIC = {'sim': 'truth/sheep', 'controller': 'plan'}
 MOVES = {'sim': 'sheep', 'controller': 'dog_1/cmd_vel'}
 
 
-def is_active(peer: Any, name: str, namespace: str = '') -> Callable[[], object]:
-    return lambda: peer.node.count_publishers(f'{namespace}/{SOLE_TOPIC[name]}')
+def is_active(peer: Any, name: str) -> Callable[[], object]:
+    return lambda: peer.node.count_publishers(SOLE_TOPIC[name])
 
 
 @pytest.mark.parametrize(
@@ -47,14 +48,15 @@ def test_second_one_is_refused(
     assert first.process.poll() is None, first.log
 
 
-def test_another_namespace_is_another_place(start: Callable[..., Any], peer: Any) -> None:
-    name, nodes = 'controller', []
-    for namespace in ('/east', '/west'):
-        remapping = ['--ros-args', '-r', f'__ns:={namespace}']
-        nodes.append(start(name, *remapping, **SMALL[name]))
-        peer.spin_until(is_active(peer, name, namespace))
-    peer.spin_for(2.0)
-    assert [node.process.poll() for node in nodes] == [None, None]
+def test_second_clock_is_refused_with_the_remedy(start: Callable[..., Any], peer: Any) -> None:
+    """Namespaces share /clock, unless they are told not to."""
+    peer.node.create_publisher(Clock, '/clock', 1)
+    second = start('sim', '--ros-args', '-r', '__ns:=/west', **SMALL['sim'])
+    assert second.wait() == 2
+    assert (
+        'cannot start: node /peer publishes /clock already; end it, or give all nodes of this '
+        'herd a clock of their own, by a namespace and -r /clock:=clock, or another ROS_DOMAIN_ID'
+    ) in second.log
 
 
 def test_of_two_active_ones_the_first_stays(start: Callable[..., Any], peer: Any) -> None:
@@ -140,7 +142,7 @@ def test_who_was_first_waits_longest(
     """No two duplicates have the same patience, so that one of them always stays."""
     world = Clockwork(rival, begin)
     monkeypatch.setattr(duplicates, 'time', world)
-    watch = duplicates._Watch(world, '/plan', [5])  # type: ignore[arg-type]
+    watch = duplicates._Watch(world, '/plan', [5], 'go')  # type: ignore[arg-type]
 
     def look_on() -> None:
         while world.now < 100.0:

@@ -7,7 +7,9 @@ Foreign messages are written by rosbags, in both byte orders.
 from __future__ import annotations
 
 import array
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 import math
 import struct
 import tracemalloc
@@ -32,13 +34,17 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import get_typestore, Stores
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from herding_ros.checks import check_goal, Refused
 from herding_ros.control.plan import Plan
 from herding_ros.nodes import messages
-from herding_ros.nodes.refusals import Refusals, Refused
+from herding_ros.nodes import refusals as refusals_module
+from herding_ros.nodes.refusals import Refusals
+from herding_ros.nodes.wire import serialized
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MOST = 1000
@@ -83,23 +89,29 @@ def test_cloud_is_what_rviz_expects() -> None:
 
 @st.composite
 def foreign_clouds(draw: Any) -> tuple[bytes, np.ndarray, np.ndarray | None]:
-    """A PointCloud2 in any layout that is allowed: its bytes, (x, y, vx, vy) (N, 4) and ids."""
+    """A PointCloud2 in any layout that is allowed: its bytes, (x, y, vx, vy) (N, 4) and ids.
+
+    Whatever its other fields say of themselves.
+    """
     height, width = draw(st.integers(1, 3)), draw(st.integers(1, 6))
     order = draw(st.sampled_from('<>'))
     read = {name: draw(st.sampled_from(['f4', 'f8'])) for name in ('x', 'y', 'vx', 'vy')}
     if draw(st.booleans()):
         read['id'] = draw(st.sampled_from(['i1', 'u1', 'i2', 'u2', 'i4', 'u4']))
     names = st.text(st.characters(exclude_characters='\0', exclude_categories=['Cs']), max_size=20)
-    others = draw(st.sets(names.filter(lambda name: name not in (*read, 'id')), max_size=4))
+    others = draw(st.lists(names.filter(lambda name: name not in (*read, 'id')), max_size=4))
     fields, offset = [], 0
-    for name in draw(st.permutations([*read, *sorted(others)])):
-        kind = read.get(name) or draw(st.sampled_from(list(DATATYPES)))
-        count = 1 if name in read else draw(st.integers(0, 3))
+    for name in draw(st.permutations([*read, *others, *others[:1]])):
+        if name not in read:
+            anywhere = st.integers(0, 2**32 - 1)
+            fields.append((name, draw(anywhere), draw(st.integers(0, 255)), draw(anywhere)))
+            continue
         offset += draw(st.integers(0, 9))
-        fields.append((name, offset, DATATYPES[kind], count))
-        offset += np.dtype(kind).itemsize * count
+        fields.append((name, offset, DATATYPES[read[name]], draw(st.integers(0, 1))))
+        offset += np.dtype(read[name]).itemsize
     step = offset + draw(st.integers(0, 9))
-    row_step = width * step + draw(st.integers(0, 9))
+    gap = draw(st.integers(0, 9))
+    row_step = width * step + gap
 
     data = bytearray(draw(st.binary(min_size=height * row_step, max_size=height * row_step)))
     values = np.empty((height * width, 4))
@@ -130,7 +142,7 @@ def foreign_clouds(draw: Any) -> tuple[bytes, np.ndarray, np.ndarray | None]:
         ],
         is_bigendian=order == '>',
         point_step=step,
-        row_step=row_step,
+        row_step=row_step if gap else draw(st.sampled_from([0, row_step])),
         data=array.array('B', bytes(data)),
         is_dense=draw(st.booleans()),
     )
@@ -192,8 +204,53 @@ def points_with(at: int, number: bytes) -> bytes:
     return cloud_with(data=points)
 
 
+def test_what_is_sent_has_zeros_between_its_fields() -> None:
+    """The bytes are those of rosbags, which writes the message that rclpy has written."""
+    plan = Plan(4.0, 0.4, np.ones((3, 2, 2)))
+    for length in range(8):
+        frame = 'map_of_a'[:length]
+        sent = [
+            messages.path(np.ones((length, 2)), 0.5, 7, frame),
+            messages.marker_array(np.ones((length, 2)), np.ones((2, 2)), np.ones(2), 7, frame),
+            messages.diagnostics(frame, 7, b'\2', frame, {frame: 1.5, 'a': 'ü'}),
+            messages.twist(np.ones(2), 0.3),
+            Clock(clock=messages.stamp_of(7)),
+            PointCloud2(fields=[PointField(name=frame)], data=array.array('B', b'12345')),
+            Odometry(header=Header(frame_id=frame), child_frame_id='dog'),
+        ]
+        for message in sent:
+            data = serialized(message)
+            assert data == as_rosbags_writes_it(serialize_message(message), type(message))
+            assert deserialize_message(data, type(message)) == message
+        x, names = np.ones((length, 2)), ('a', 'b')[: max(length % 3, 1)]
+        data = messages.cloud(x, x, 7, frame)
+        assert data == as_rosbags_writes_it(data, PointCloud2)
+        routes = np.ones((3, len(names), 2))
+        data = messages.trajectory(replace(plan, u=routes), routes, names, 7, frame)
+        assert data == as_rosbags_writes_it(data, MultiDOFJointTrajectory)
+        data = messages.odometry(np.ones(2), np.ones(2), 10**length, 7, frame)
+        assert data == as_rosbags_writes_it(data, Odometry)
+        data = messages.command(np.ones(2), 0.1, 10**length, 7)
+        assert data == as_rosbags_writes_it(data, TwistStamped)
+
+
+def as_rosbags_writes_it(data: bytes, kind: Any) -> bytes:
+    """The message in data once more, with zeros between the fields."""
+    name = f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
+    return bytes(STORE.serialize_cdr(STORE.deserialize_cdr(data, name), name))
+
+
 def number(value: float) -> bytes:
     return struct.pack('<f', value)
+
+
+def refusal(what: str, data: bytes) -> str:
+    """The kind as which a message is refused; '' if it is read."""
+    try:
+        READERS[what](data)
+    except Refused as refused:
+        return refused.kind
+    return ''
 
 
 ONE_ROW = array.array('B', bytes(84))
@@ -201,30 +258,33 @@ BAD_CLOUDS = {
     'no field': (cloud_with(fields=[]), 'wrong fields'),
     'no vy': (fields_with(5, name='speed'), 'wrong fields'),
     'integer x': (fields_with(1, datatype=PointField.INT32), 'wrong fields'),
-    'two numbers in x': (fields_with(1, count=2), 'wrong fields'),
-    'no number in x': (fields_with(1, count=0), 'wrong fields'),
     'float id': (fields_with(0, datatype=PointField.FLOAT32), 'wrong fields'),
-    'two numbers in id': (fields_with(0, count=2), 'wrong fields'),
     'many fields': (
         cloud_with(fields=[PointField(name=f'{k}', datatype=2, count=1) for k in range(65)]),
         'wrong fields',
     ),
-    'unknown type': (fields_with(3, datatype=99), 'malformed'),
+    'two numbers in x': (fields_with(1, count=2), 'malformed'),
+    'two numbers in id': (fields_with(0, count=2), 'malformed'),
+    'unknown type': (fields_with(4, datatype=99), 'malformed'),
     'two fields x': (fields_with(2, name='x'), 'malformed'),
-    'field beyond the point': (fields_with(6, offset=25), 'malformed'),
-    'field far beyond the point': (fields_with(6, offset=2**32 - 1), 'malformed'),
+    'field beyond the point': (fields_with(5, offset=25), 'malformed'),
+    'field far beyond the point': (fields_with(5, offset=2**32 - 1), 'malformed'),
     'field where NumPy looks for it beyond its memory': (
-        fields_with(6, offset=2**31 - 1),
+        fields_with(5, offset=2**31 - 1),
         'malformed',
     ),
     'long name': (fields_with(3, name='z' * 256), 'malformed'),
     'too few bytes': (cloud_with(data=ONE_ROW[:-1]), 'malformed'),
     'too many bytes': (cloud_with(data=ONE_ROW + ONE_ROW[:1]), 'malformed'),
+    'too many bytes without row step': (cloud_with(row_step=0, data=ONE_ROW * 2), 'malformed'),
     'row shorter than its points': (cloud_with(row_step=83, data=ONE_ROW[:-1]), 'malformed'),
-    'no row step': (cloud_with(row_step=0), 'malformed'),
     'no point step': (cloud_with(point_step=0), 'malformed'),
     'points of no size': (
         cloud_with(point_step=0, row_step=0, data=ONE_ROW[:0]),
+        'malformed',
+    ),
+    'nothing of no size': (
+        cloud_with(fields=[], point_step=0, row_step=0, data=ONE_ROW[:0]),
         'malformed',
     ),
     'steps beyond all': (cloud_with(point_step=2**32 - 1, row_step=2**32 - 1), 'malformed'),
@@ -234,6 +294,10 @@ BAD_CLOUDS = {
     ),
     'empty': (cloud_with(width=0, row_step=0, data=ONE_ROW[:0]), 'empty'),
     'no rows': (cloud_with(height=0, data=ONE_ROW[:0]), 'empty'),
+    'no sheep in sight': (
+        cloud_with(is_dense=False, data=array.array('B', number(math.nan) * 21)),
+        'empty',
+    ),
     'one too many': (
         messages.cloud(np.zeros((MOST + 1, 2)), np.zeros((MOST + 1, 2)), 0, 'map'),
         'too many sheep',
@@ -244,7 +308,7 @@ BAD_CLOUDS = {
     'signalling NaN in vx': (points_with(44, b'\1\0\x80\x7f'), 'not finite'),
     'infinity': (points_with(36, number(math.inf)), 'not finite'),
     'minus infinity': (points_with(64, number(-math.inf)), 'not finite'),
-    'huge x': (points_with(4, number(1.1e6)), 'too large'),
+    'x beyond single precision': (points_with(4, number(1.1e6)), 'too large'),
     'huge vy': (points_with(48, number(-3e38)), 'too large'),
     'other frame': (cloud_with(header=Header(frame_id='odom')), 'wrong frame'),
     'no frame': (cloud_with(header=Header()), 'wrong frame'),
@@ -253,15 +317,59 @@ BAD_CLOUDS = {
 
 
 @pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize(('cloud', 'kind'), BAD_CLOUDS.values(), ids=BAD_CLOUDS)
-def test_bad_clouds_are_refused(cloud: bytes, kind: str) -> None:
-    with pytest.raises(Refused) as refused:
-        messages.sheep_in(cloud, 'map', MOST)
-    assert refused.value.kind == kind
+def test_bad_clouds_are_refused() -> None:
+    found = {name: refusal('sheep', cloud) for name, (cloud, _) in BAD_CLOUDS.items()}
+    assert found == {name: kind for name, (_, kind) in BAD_CLOUDS.items()}
+
+
+@pytest.mark.parametrize(
+    ('changes', 'cause'),
+    [
+        ({'count': 2}, "'x' of the point cloud must be one number, got a count of 2"),
+        ({'datatype': 0}, "'x' of the point cloud must have a datatype from 1 to 8, got 0"),
+        ({'name': 'y'}, "'y' of the point cloud must be there once, got it 2 times"),
+        ({'name': 'X'}, 'sheep must have a field x of type FLOAT32 or FLOAT64'),
+    ],
+)
+def test_refused_field_is_told_with_its_cause(changes: dict[str, Any], cause: str) -> None:
+    with pytest.raises(Refused, match=cause):
+        messages.sheep_in(fields_with(1, **changes), 'map', MOST)
+
+
+def test_sheep_out_of_sight_are_left_out_of_a_cloud_that_is_not_dense() -> None:
+    """The other ones keep their ids, whether these are a field or their order."""
+    points = deserialize_message(cloud_with(), PointCloud2).data
+    points[28:32] = array.array('B', bytes(4))  # the id of nobody
+    points[32:36] = array.array('B', number(math.nan))
+    fields = deserialize_message(cloud_with(), PointCloud2).fields
+    for fields_there in (fields, fields[1:]):
+        cloud = cloud_with(is_dense=False, data=points, fields=fields_there)
+        sheep = messages.sheep_in(cloud, 'map', 3)
+        assert sheep.ids.tolist() == [0, 2]
+        assert sheep.x.tolist() == [[1.0, 0.0], [0.0, 0.0]]
+
+
+def test_far_from_the_origin_sheep_need_double_precision() -> None:
+    """UTM has coordinates of 5,500 km, which single precision resolves to half a metre."""
+    x = np.array([[412_345.678, 5_500_123.456], [412_346.789, 5_500_124.321]])
+    kinds = [(name, '<f8') for name in ('x', 'y', 'vx', 'vy')]
+    sheep = np.zeros(2, kinds)
+    sheep['x'], sheep['y'] = x.T
+    fields = [
+        PointField(name=name, offset=8 * i, datatype=PointField.FLOAT64, count=1)
+        for i, (name, _) in enumerate(kinds)
+    ]
+    cloud = cloud_with(
+        fields=fields, width=2, point_step=32, row_step=64,
+        data=array.array('B', sheep.tobytes()),
+    )  # fmt: skip
+    assert np.array_equal(messages.sheep_in(cloud, 'map', 3).x, x)
+    with pytest.raises(Refused, match=r'resolves to 0\.5 m; send FLOAT64'):
+        messages.sheep_in(messages.cloud(x, np.zeros((2, 2)), 0, 'map'), 'map', 3)
 
 
 def test_what_is_not_read_may_be_anything() -> None:
-    """NaN as the height of sheep, dogs and goals, and in covariances, says 'not known'."""
+    """A NaN as the height of sheep, dogs and goals, and in covariances, says 'not known'."""
     assert len(messages.sheep_in(points_with(12, number(math.nan)), 'map', 3).ids) == 3
     odometry = deserialize_message(ODOMETRY, Odometry)
     odometry.pose.pose.position.z = math.nan
@@ -279,13 +387,11 @@ def absurd_length(at: int, length: int) -> bytes:
     return bytes(data)
 
 
-@pytest.mark.parametrize('length', [2**24, 2**31 - 1, 2**31, 2**32 - 1])
-@pytest.mark.parametrize('at', [12, 20, 24, 28, 32, 176, 180, 184])
-def test_absurd_lengths_take_no_memory(at: int, length: int) -> None:
+def test_absurd_lengths_take_no_memory() -> None:
     """Those of the frame, the rows, the points, the fields, a name, the steps and the data."""
-    data = absurd_length(at, length)
-    peak = peak_of_refusing(data)
-    assert peak < 20_000
+    for at in (12, 20, 24, 28, 32, 176, 180, 184):
+        for length in (2**24, 2**31, 2**32 - 1):
+            assert peak_of_refusing(absurd_length(at, length)) < 20_000, (at, length)
 
 
 def test_more_points_than_allowed_are_not_even_copied() -> None:
@@ -407,9 +513,8 @@ def command_with(part: str = 'linear', **changes: float) -> bytes:
 BAD = [(math.nan, 'not finite'), (math.inf, 'not finite'), (-math.inf, 'not finite')]
 
 
-@pytest.mark.parametrize(
-    ('what', 'data', 'kind'),
-    [
+def test_numbers_that_must_not_move_a_dog_are_refused() -> None:
+    bad = [
         *(('odometry', odometry_with(**{at: bad}), kind) for bad, kind in BAD
           for at in ('px', 'py', 'x', 'y', 'z', 'w')),
         *(('odometry', odometry_with(**{at: 1e300}), 'too large') for at in ('px', 'py', 'w')),
@@ -418,7 +523,7 @@ BAD = [(math.nan, 'not finite'), (math.inf, 'not finite'), (-math.inf, 'not fini
         ('odometry', odometry_with(z=0.5), 'not a rotation'),
         ('odometry', odometry_with(x=1e-200, w=0.0), 'not a rotation'),
         *(('goal', goal_with(**{at: bad}), kind) for at in ('px', 'py')
-          for bad, kind in [*BAD, (1e300, 'too large'), (-1.1e6, 'too large')]),
+          for bad, kind in [*BAD, (1e300, 'too large'), (-1.1e8, 'too large')]),
         *(('command', command_with(part, **{at: bad}), kind) for bad, kind in BAD
           for part in ('linear', 'angular') for at in ('x', 'y', 'z')),
         ('command', command_with(x=SPEED * 1.00001), 'too fast'),
@@ -426,14 +531,9 @@ BAD = [(math.nan, 'not finite'), (math.inf, 'not finite'), (-math.inf, 'not fini
         ('command', command_with(y=1e300), 'too fast'),
         ('twist', serialize_message(twist_with(x=0.051)), 'too fast'),
         *(('twist', serialize_message(twist_with(y=bad)), kind) for bad, kind in BAD),
-    ],
-    # Between numbers a message has bytes that mean nothing, and may be any.
-    ids=lambda value: 'data' if isinstance(value, bytes) else None,
-)  # fmt: skip
-def test_numbers_that_must_not_move_a_dog_are_refused(what: str, data: bytes, kind: str) -> None:
-    with pytest.raises(Refused) as refused:
-        READERS[what](data)
-    assert refused.value.kind == kind
+    ]  # fmt: skip
+    for what, data, kind in bad:
+        assert refusal(what, data) == kind, (what, data)
 
 
 VALID = {
@@ -460,16 +560,16 @@ def read_or_refused(what: str, data: bytes) -> None:
         values = [*read[1], read[2]]
     else:
         values = list(read[1] if what == 'command' else read)
-    assert all(abs(value) <= 1e6 for value in values)
+    assert all(abs(value) <= 1e8 for value in values)
     if what in ('command', 'twist'):
         assert math.hypot(*values) <= SPEED * 1.000002
 
 
 @pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize('what', READERS)
-@given(st.sampled_from([b'', b'\0\1\0\0', b'\0\0\0\0', b'\0\3\0\0', b'\0\1\0\0' + bytes(12)]),
+@given(st.sampled_from(list(READERS)),
+       st.sampled_from([b'', b'\0\1\0\0', b'\0\0\0\0', b'\0\3\0\0', b'\0\1\0\0' + bytes(12)]),
        st.binary(max_size=800))  # fmt: skip
-@settings(max_examples=100)
+@settings(max_examples=500)
 def test_random_bytes_are_harmless(what: str, beginning: bytes, data: bytes) -> None:
     read_or_refused(what, beginning + data)
 
@@ -499,29 +599,21 @@ def mutations(draw: Any, data: bytes) -> bytes:
 
 
 @pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize('big', [False, True])
-@pytest.mark.parametrize('what', READERS)
-@given(st.data())
-@settings(max_examples=100)
+@given(st.sampled_from(list(READERS)), st.booleans(), st.data())
+@settings(max_examples=500)
 def test_mutated_messages_are_harmless(what: str, big: bool, data: st.DataObject) -> None:
     valid, kind = VALID[what]
     read_or_refused(what, data.draw(mutations(in_either_order(valid, kind, big))))
 
 
-@pytest.mark.parametrize('big', [False, True])
-@pytest.mark.parametrize('what', READERS)
-def test_cut_off_messages_are_refused_at_any_length(what: str, big: bool) -> None:
-    valid, kind = VALID[what]
-    data = in_either_order(valid, kind, big)
-    READERS[what](data)
-    for length in range(len(data)):
-        with pytest.raises(Refused) as refused:
-            READERS[what](data[:length])
-        assert refused.value.kind == 'malformed'
-    for more in (8, 1000):
-        with pytest.raises(Refused) as refused:
-            READERS[what](data + bytes(more))
-        assert refused.value.kind == 'malformed'
+def test_cut_off_messages_are_refused_at_any_length() -> None:
+    for what, (valid, kind) in VALID.items():
+        for data in (in_either_order(valid, kind, big) for big in (False, True)):
+            assert refusal(what, data) == ''
+            for length in range(len(data)):
+                assert refusal(what, data[:length]) == 'malformed', (what, length)
+            for more in (8, 1000):
+                assert refusal(what, data + bytes(more)) == 'malformed', (what, more)
 
 
 def test_command_is_in_the_body_frame() -> None:
@@ -561,38 +653,31 @@ def test_goal_comes_out_as_it_went_in(goal: np.ndarray, sec: int, big: bool) -> 
     assert np.array_equal(messages.goal_in(data, 'map'), goal)
 
 
-@pytest.mark.parametrize('ns', [-(10**19), -(2**31) * 10**9, -1, 0, 2**31 * 10**9 - 1, 10**19])
-def test_times_beyond_all_stamps_become_the_last_one(ns: int) -> None:
+def test_times_beyond_all_stamps_become_the_last_one() -> None:
     """A clock gone mad must not end a node."""
-    stamp = messages.stamp_of(ns)
-    nearest = min(max(ns, -(2**31) * 10**9), 2**31 * 10**9 - 1)
-    assert messages.nanoseconds(stamp) == nearest
-    data = messages.command(np.zeros(2), 0.0, 1, ns)
-    assert messages.command_in(data, 1, 'map', SPEED)[0] == nearest
+    for ns in (-(10**19), -(2**31) * 10**9, -1, 0, 2**31 * 10**9 - 1, 10**19):
+        nearest = min(max(ns, -(2**31) * 10**9), 2**31 * 10**9 - 1)
+        assert messages.nanoseconds(messages.stamp_of(ns)) == nearest
+        data = messages.command(np.zeros(2), 0.0, 1, ns)
+        assert messages.command_in(data, 1, 'map', SPEED)[0] == nearest
 
 
 NOW = 1_700_000_000_000_000_000
 
 
-@pytest.mark.parametrize('seconds', [-2.0, -0.1, 0.0, 0.5])
-def test_stamps_of_about_now_are_good(seconds: float) -> None:
-    messages.check_stamp(NOW + round(seconds * 1e9), NOW, oldest=2.0, ahead=0.5)
-
-
-@pytest.mark.parametrize(
-    ('ns', 'kind'),
-    [
+def test_stamps_of_another_time_are_refused() -> None:
+    for seconds in (-2.0, -0.1, 0.0, 0.5):
+        messages.check_stamp(NOW + round(seconds * 1e9), NOW, oldest=2.0, ahead=0.5)
+    for ns, kind in [
         (NOW - 2_000_001_000, 'stamp too old'),
         (NOW + 500_001_000, 'stamp in the future'),
         (0, 'stamp too old'),
         (-(2**31) * 10**9, 'stamp too old'),
         (2**31 * 10**9, 'stamp in the future'),
-    ],
-)
-def test_stamps_of_another_time_are_refused(ns: int, kind: str) -> None:
-    with pytest.raises(Refused) as refused:
-        messages.check_stamp(ns, NOW, oldest=2.0, ahead=0.5)
-    assert refused.value.kind == kind
+    ]:
+        with pytest.raises(Refused) as refused:
+            messages.check_stamp(ns, NOW, oldest=2.0, ahead=0.5)
+        assert refused.value.kind == kind
 
 
 class Log:
@@ -605,20 +690,44 @@ class Log:
         self.lines.append(line)
 
 
-def test_refusals_are_counted_by_topic_and_kind_and_logged_once_each() -> None:
+def test_refusals_are_counted_by_topic_and_kind_and_logged_once_for_each_cause() -> None:
     log = Log()
     refusals = Refusals(log)  # type: ignore[arg-type]
     for k in range(10_000):
-        for topic, frame in [('sheep', f'frame_{k}'), ('goal_pose', 'x' * k)]:
+        for topic, frame in [('sheep', 'odom' if k else 'base'), ('dog_1/odom', 'x' * k)]:
             with pytest.raises(Refused) as refused:
                 messages.check_frame('it', frame, 'map')
             refusals.add(topic, refused.value)
         refusals.add('sheep', Refused('empty', f'{k}'))
         refusals.add('sheep', ValueError(f'{k}'))
-    counts = {'sheep: wrong frame', 'goal_pose: wrong frame', 'sheep: empty', 'sheep: not allowed'}
-    assert refusals.counts == dict.fromkeys(counts, 10_000)
-    assert sorted(line.split('(')[1].split(')')[0] for line in log.lines) == sorted(counts)
+    logged = {
+        'sheep: wrong frame': 2,
+        'dog_1/odom: wrong frame': 5,  # a stranger may make up any number of causes
+        'sheep: empty': 1,
+        'sheep: not allowed': 1,
+    }
+    assert refusals.counts == dict.fromkeys(logged, 10_000)
+    assert Counter(line.split('(')[1].split(')')[0] for line in log.lines) == logged
     assert all(len(line) < 500 for line in log.lines)
+
+
+def test_refused_goals_are_logged_whenever_they_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    log, now = Log(), [0.0]
+    monkeypatch.setattr(refusals_module.time, 'monotonic', lambda: now[0])
+    refusals = Refusals(log)  # type: ignore[arg-type]
+    goals = [(7.0, 'odom'), (7.0, 'odom'), (8.0, 'odom'), (7.0, 'odom'), (math.nan, 'map')]
+    for x, frame in goals:
+        now[0] += 1.0
+        with pytest.raises(Refused) as refused:
+            check_goal(frame, x, 0.0, 'map')
+        refusals.add_request('goal_pose', refused.value)
+    said = [line.split('goal (')[1].split(' must')[0] for line in log.lines]
+    assert said == ['7, 0)', '8, 0)', '7, 0)', 'nan, 0)']
+    for k in range(1000):  # half a second's worth of a flood
+        now[0] += 0.0005
+        refusals.add_request('goal_pose', Refused('wrong frame', f'{k}'))
+    assert len(log.lines) == 4
+    assert refusals.counts == {'goal_pose: wrong frame': 1004, 'goal_pose: not finite': 1}
 
 
 def test_names_in_a_refusal_cannot_write_to_the_terminal() -> None:

@@ -33,11 +33,15 @@ from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import messages
-from herding_ros.nodes.controller import ControllerSettings
 from herding_ros.nodes.herding_node import HerdingNode
-from herding_ros.nodes.parameters import declare
-from herding_ros.nodes.settings import ControlPreset, declare_crowd
-from herding_ros.nodes.sim import SimSettings
+from herding_ros.nodes.middleware import start_ros
+from herding_ros.nodes.parameters import declare, declare_crowd
+from herding_ros.nodes.settings import (
+    ControllerSettings,
+    ControlPreset,
+    RecorderSettings,
+    SimSettings,
+)
 
 Field = dataclasses.Field[Any]
 
@@ -55,7 +59,7 @@ FIELDS: dict[str, dict[str, Field]] = {
         **fields(Control()),
         **fields(ControllerSettings()),
     },
-    'recorder': {},
+    'recorder': fields(RecorderSettings()),
 }
 NOISE = {name for name in CROWD if name.startswith(('crowd.noise', 'crowd.common_noise'))}
 LIVE = {
@@ -209,7 +213,7 @@ def written(value: Any) -> str:
     return str(value).lower()
 
 
-@sim_and_controller
+@every_node
 def test_wrong_values_are_refused_at_the_start(domain: int, name: str) -> None:
     """All of them, in this process: what a node does with the reason is tested with the node."""
     for parameter, field in FIELDS[name].items():
@@ -217,7 +221,7 @@ def test_wrong_values_are_refused_at_the_start(domain: int, name: str) -> None:
             if isinstance(value, list) and len({type(each) for each in value}) > 1:
                 continue
             given = ['--ros-args', '-p', f'{parameter}:={written(value)}']
-            rclpy.init(args=given, domain_id=domain)
+            start_ros(given, domain_id=domain)
             node = HerdingNode(name)
             try:
                 with pytest.raises(ValueError, match=refusal_of(parameter, value)):
@@ -228,11 +232,14 @@ def test_wrong_values_are_refused_at_the_start(domain: int, name: str) -> None:
 
 
 def declare_all(node: HerdingNode) -> None:
-    declare_crowd(node)
-    kinds: list[Parameters] = [World(), SimSettings()]
-    if node.get_name() == 'controller':
-        kinds = [ControllerSettings(), ControlPreset(), Control()]
-    for kind in kinds:
+    kinds: dict[str, list[Parameters]] = {
+        'sim': [World(), SimSettings()],
+        'controller': [ControllerSettings(), ControlPreset(), Control()],
+        'recorder': [RecorderSettings()],
+    }
+    if node.get_name() != 'recorder':
+        declare_crowd(node)
+    for kind in kinds[node.get_name()]:
         declare(node, kind)
 
 

@@ -32,6 +32,10 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
 
 from herding_ros import __version__
+from herding_ros.bag.recovery import recover
+from herding_ros.nodes.middleware import start_ros
+from herding_ros.nodes.recorded_topics import NewTopic, RecordedTopics
+from herding_ros.nodes.recorder import Recorder
 
 LIMIT = 30.0
 """No condition is waited for any longer [s]."""
@@ -105,7 +109,7 @@ class Recording:
 def other_node(domain: int, name: str = 'other') -> Iterator[Node]:
     """A node with a participant of its own."""
     context = Context()
-    rclpy.init(context=context, domain_id=domain)
+    start_ros(context=context, domain_id=domain)
     node = Node(name, context=context)
     yield node
     node.destroy_node()
@@ -194,14 +198,25 @@ def test_publisher_that_offers_less_is_recorded_too(
     first = node.create_publisher(String, '/topic', LATCHED)
     recording = record()
     wait_until(lambda: is_heard([first]))
-    first.publish(text_message('first'))
+    sent = []
+
+    def publish_for(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            sent.append(text_message(f'{len(sent)}'))
+            first.publish(sent[-1])
+            time.sleep(0.002)
+
+    publish_for(0.2)
     second = node.create_publisher(String, '/topic', BEST_EFFORT)
-    wait_until(lambda: is_heard([first, second]))
-    first.publish(text_message('first again'))
+    while not is_heard([second]):
+        publish_for(0.01)
     second.publish(text_message('second'))
+    publish_for(1.5)  # until after the subscription that was replaced has ended
     assert recording.end() == 0
     read = recording.messages()['/topic']
-    assert set(read) == {text_message(text) for text in ('first', 'first again', 'second')}
+    assert read.count(text_message('second')) == 1
+    assert [data for data in read if data != text_message('second')] == sent  # once, in order
     assert 'offers less' in recording.log.read_text()
 
 
@@ -285,13 +300,12 @@ def test_log_times_are_the_simulations(node: Node, record: Callable[..., Recordi
     limits = ['max_bag_duration:=8']
     recording = record('use_sim_time:=true', 'topics:=["/early", "/state"]', *limits)
     wait_until(lambda: is_heard([early, state]) and is_heard([clock], by=2))  # one is rclpy's
+    recording.wait_for_file(text_message('early'))  # without waiting for a clock
     ticks = [*range(5, 25), *range(0, 10)]  # a reset after 20
     for tick in ticks:
         clock.publish(serialize_message(Clock(clock=Time(sec=tick))))
         state.publish(text_message(f'{tick}'))
-        if tick == ticks[0]:
-            recording.wait_for_file(text_message('early'))
-        elif tick % 3:  # some come in while the recorder is taking, some all at once
+        if tick % 3:  # some come in while the recorder is taking, some all at once
             time.sleep(0.01)
     assert recording.end() == 0
     times: dict[str, list[int]] = {'/early': [], '/state': [], '/clock': []}
@@ -308,13 +322,118 @@ def test_log_times_are_the_simulations(node: Node, record: Callable[..., Recordi
     assert order == sorted(order)
 
 
-def test_without_any_clock_nothing_is_lost(node: Node, record: Callable[..., Recording]) -> None:
+def test_without_any_clock_a_kill_costs_nothing(
+    node: Node, record: Callable[..., Recording]
+) -> None:
     publisher = node.create_publisher(String, '/topic', RELIABLE)
+    before = time.time_ns()
     recording = record('use_sim_time:=true')
     wait_until(lambda: is_heard([publisher]))
     publisher.publish(text_message('x'))
-    assert recording.end() == 0
+    recording.wait_for_file(text_message('x'))
+    recording.wait_for_log('use_sim_time is true, but nothing has come on /clock')
+    recording.wait_for_file(b'recording, use_sim_time is true')  # in its diagnostics
+    recording.end(signal.SIGKILL)
+    recover(recording.path)
     assert recording.messages()['/topic'] == [text_message('x')]
+    with AnyReader([recording.path]) as reader:
+        assert before < reader.start_time < time.time_ns()
+    *_, (status, _) = statuses(recording)
+    assert status.level == 1
+
+
+def test_single_message_of_a_short_publisher_is_recorded(
+    node: Node, record: Callable[..., Recording], domain: int
+) -> None:
+    """As of `ros2 topic pub --once`: the recorder is there before it, where anybody else is."""
+    kinds = {'latched': LATCHED, 'reliable': RELIABLE}
+    for kind, qos in kinds.items():
+        node.create_subscription(String, f'/{kind}', lambda _: None, qos)
+    node.create_subscription(String, '/silent', lambda _: None, RELIABLE)
+    recording = record()
+    wait_until(lambda: all(len(heard_by(node, f'/{kind}')) == 2 for kind in [*kinds, 'silent']))
+    with other_node(domain) as other:
+        for kind, qos in kinds.items():
+            publisher = other.create_publisher(String, f'/{kind}', qos)
+            wait_until(lambda publisher=publisher: is_heard([publisher], by=2))
+            publisher.publish(text_message(kind))
+            wait_until(lambda publisher=publisher: is_delivered([publisher]))
+            other.destroy_publisher(publisher)
+    for kind in kinds:
+        recording.wait_for_file(text_message(kind))
+    assert recording.end() == 0
+    read = recording.messages()
+    assert {kind: read[f'/{kind}'] for kind in kinds} == {k: [text_message(k)] for k in kinds}
+    assert '/silent' not in read
+
+
+def heard_by(node: Node, topic: str) -> list[str]:
+    return [info.node_name for info in node.get_subscriptions_info_by_topic(topic)]
+
+
+def test_subscribers_of_another_type_change_nothing(
+    node: Node, record: Callable[..., Recording], domain: int
+) -> None:
+    with other_node(domain) as other:
+        for topic in ('/before', '/after'):  # the type of the publisher counts
+            other.create_subscription(Int32, topic, lambda _: None, 1)
+        before = node.create_publisher(String, '/before', RELIABLE)
+        recording = record()
+        wait_until(lambda: is_heard([before]) and 'recorder' in heard_by(node, '/after'))
+        after = node.create_publisher(String, '/after', RELIABLE)
+        third = node.create_publisher(String, '/third', RELIABLE)
+        wait_until(lambda: is_heard([after, third]))
+        other.create_subscription(Int32, '/third', lambda _: None, 1)
+        wait_until(lambda: len(heard_by(node, '/third')) == 2)
+        for publisher in (before, after, third):
+            publisher.publish(text_message('x'))
+        wait_until(lambda: is_delivered([before, after, third]))
+        assert recording.end() == 0
+    read = recording.messages()
+    assert [read[topic] for topic in ('/before', '/after', '/third')] == [[text_message('x')]] * 3
+
+
+def test_subscription_holds_all_that_comes_while_the_disk_makes_it_wait(domain: int) -> None:
+    with other_node(domain, 'listener') as listener, other_node(domain, 'talker') as talker:
+        added: list[NewTopic] = []
+        topics = RecordedTopics(listener, '/topic'.__eq__, added.append)
+        publisher = talker.create_publisher(String, '/topic', RELIABLE)
+
+        def is_followed() -> bool:
+            topics.discover()
+            return is_heard([publisher])
+
+        wait_until(is_followed)
+        for k in range(6000):
+            publisher.publish(text_message(f'{k}'))
+            if k % 500 == 0:
+                wait_until(lambda: is_delivered([publisher]))
+        wait_until(lambda: is_delivered([publisher]))
+        received = [message.data for message in topics.take_last()]
+        assert received == [text_message(f'{k}') for k in range(6000)]
+        assert [topic.name for topic in added] == ['/topic']
+
+
+def test_nodes_that_come_and_go_leave_no_clients(
+    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rclpy.init(domain_id=domain)
+    recorder = Recorder()
+    recorder.create_bag()
+
+    def is_asked() -> bool:
+        recorder._search_graph()
+        return '/passer_by' in recorder._queries
+
+    with other_node(domain, 'passer_by'):
+        wait_until(is_asked)
+        clients = len(list(recorder.clients))
+    wait_until(lambda: not is_asked())
+    assert len(list(recorder.clients)) == clients - 3
+    recorder.bag.close()
+    recorder.destroy_node()
+    rclpy.shutdown()
 
 
 def test_ten_thousand_messages_a_second(node: Node, record: Callable[..., Recording]) -> None:
@@ -361,6 +480,7 @@ def test_lost_messages_are_counted(node: Node, record: Callable[..., Recording])
     *_, (status, values) = statuses(recording)
     assert status.level == 2
     assert 0 < int(values['lost']) <= lost
+    assert recording.custom_data()['messages_lost'] == f'{lost}'
 
 
 def statuses(recording: Recording) -> Iterator[tuple[Any, dict[str, str]]]:

@@ -31,6 +31,8 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker
 import yaml
 
+from herding_ros.bag.inspection import inspect
+
 NUMBERS = '/numbers'
 LOSS = 0.1
 """What was published longer ago than this is not lost, as a rule [s]."""
@@ -285,7 +287,8 @@ def test_disk_that_fails_in_the_middle_leaves_a_bag_to_recover(
     counter = count()
     peer.spin_until(lambda: int(status(diagnostics)[1].get('messages', 0)) > 1000)
     written = int(status(diagnostics)[1]['messages'])
-    peer.spin_for(2 * LOSS)
+    # All these are to be on disk. However long that takes where processors are busy.
+    peer.spin_until(lambda: inspect(bag / 'bag_0.mcap').information.message_count >= written)
     largest_file(process, 10_000)  # less than it has already
     check_stopped(peer, process, counter, heard, diagnostics, bag)
     assert f'the bag is not complete: recover it by `ros2 run herding_ros recover {bag}`' in (
@@ -294,7 +297,9 @@ def test_disk_that_fails_in_the_middle_leaves_a_bag_to_recover(
     process.ends_in_time(signal.SIGINT, code=1)
     assert recover(bag).returncode == 0
     numbers = numbers_in(bag)
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    # While it is being matched, a subscription may get some messages and miss others.
+    settled = [number for number in numbers if number > numbers[0] + 200]
+    assert settled == list(range(settled[0], settled[0] + len(settled)))
     with AnyReader([bag]) as reader:
         assert reader.message_count >= written
 
@@ -494,7 +499,7 @@ def test_storm_of_signals_at_any_time(start: Callable[..., Any], tmp_path: Path)
     """From the moment the program has taken over the signals until it is gone."""
     generator = random.Random(0)
     for trial in range(3):
-        process = start('recorder', bag=tmp_path / f'{trial}')
+        process = start('recorder', afresh=True, bag=tmp_path / f'{trial}')
         pid = process.process.pid
         while not takes_signals(pid):
             time.sleep(0.005)
@@ -542,7 +547,7 @@ def test_topics_of_broken_packages_are_left_out(
     monkeypatch.setenv('PYTHONPATH', str(tmp_path / 'broken'), prepend=':')
     peer.node.create_publisher(Marker, '/marker', 10)
     peer.node.create_publisher(JointTrajectory, '/joints', 10)
-    process = start('recorder', bag=tmp_path / 'bag')
+    process = start('recorder', afresh=True, bag=tmp_path / 'bag')
     process.wait_for('/marker is not recorded: broken on import')
     process.wait_for('/joints is not recorded')
     diagnostics = peer.listen(DiagnosticArray, '/diagnostics')

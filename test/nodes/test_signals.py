@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 import signal
+import subprocess
+import sys
 import time
 from typing import Any
 
@@ -34,7 +36,7 @@ def test_while_kernels_are_compiled(
     number: int,
 ) -> None:
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'empty'))
-    process = start(name, **SMALL[name])
+    process = start(name, afresh=True, **SMALL[name])
     process.wait_for('loading kernels')
     time.sleep(0.5)  # they take many seconds
     assert 'kernels loaded' not in process.log
@@ -111,3 +113,36 @@ def test_sim_whose_listener_hangs(start: Callable[..., Any], peer: Any, tmp_path
         process.ends_in_time(signal.SIGINT)
     finally:
         listener.process.send_signal(signal.SIGCONT)
+
+
+INTERRUPTED = """
+import os, signal, sys
+from herding_ros.nodes.signals import note_signals
+
+left = 50
+
+
+def signal_again(frame, event, argument):
+    global left
+    if left:
+        left -= 1
+        os.kill(os.getpid(), signal.SIGTERM)
+    return signal_again
+
+
+noted = note_signals()
+sys.settrace(signal_again)
+os.kill(os.getpid(), signal.SIGINT)
+sys.settrace(None)
+print(noted.is_set(), left)
+"""
+
+
+def test_signal_at_any_line_of_the_handler_of_another() -> None:
+    done = subprocess.run(
+        [sys.executable, '-c', INTERRUPTED],
+        capture_output=True, text=True, check=True, timeout=30.0,
+    )  # fmt: skip
+    noted, left = done.stdout.split()
+    assert noted == 'True'
+    assert int(left) < 50

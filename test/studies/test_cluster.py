@@ -34,7 +34,7 @@ def symmetric(seed: int) -> Task:
 def run(seed: int) -> Task:
     parameters: dict[str, Any] = {
         'policy': 'planner',
-        'settings': {'mapping': {'paths': 20}},
+        'settings': {'mapping.paths': 20},
         'sheep': 6,
         'dogs': 2,
         'sigma': 0.02,

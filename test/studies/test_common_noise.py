@@ -17,8 +17,7 @@ from herding_ros.model.simulation import World
 from herding_ros.studies import common_noise
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.case import Case
-from herding_ros.studies.experiments.settings import differences
-from herding_ros.studies.runs import PLAIN
+from herding_ros.studies.runs import PLAIN, settings_of
 from herding_ros.studies.study import Options, Results
 
 SHORT = Horizon(length=8.0, accepted=4.0)
@@ -28,12 +27,12 @@ HERD = {'sheep': 9, 'dogs': 2, 'sigma': 0.03, 'seed': 1}
 
 def run(share: float, **changes: Any) -> dict[str, Any]:
     given = {**HERD, 'common_noise': share, 'judge_paths': 200, 'trace': False} | changes
-    return EXPERIMENTS['common_noise'](**given, control=differences(CONTROL, Control()))
+    return EXPERIMENTS['common_noise'](**given, control=settings_of(CONTROL))
 
 
 def test_individual_noise_is_that_of_the_other_studies() -> None:
     window = EXPERIMENTS['window'](
-        **HERD, judge_paths=200, trace=False, control=differences(CONTROL, Control())
+        **HERD, judge_paths=200, trace=False, control=settings_of(CONTROL)
     )
     found = run(0.0)
     for key in ('before', 'after', 'iterations'):
@@ -70,7 +69,7 @@ def test_traces_start_where_the_flock_does_and_part() -> None:
     trace = run(1.0, trace=True)['trace']
     singles = np.array(trace['singles'])
     assert singles.shape == (20, 17, 2)
-    np.testing.assert_allclose(singles[:, 0], np.tile(trace['wanted'][0], (20, 1)), atol=1e-5)
+    np.testing.assert_allclose(singles[:, 0], np.tile(trace['target'][0], (20, 1)), atol=1e-5)
     assert np.std(singles[:, -1], axis=0).min() > 0.02
 
 
@@ -94,7 +93,7 @@ def made_up() -> Results:
         if given['control'] == common_noise._CONTROLS['multilevel']:
             result['judged_after'] = 0.004
         if given['trace']:
-            result['trace'] = {'wanted': [[0, 0], [1, 1]], 'singles': [[[0, 0], [1, share]]] * 2}
+            result['trace'] = {'target': [[0, 0], [1, 1]], 'singles': [[[0, 0], [1, share]]] * 2}
         entries.append((task, json.loads(json.dumps(result))))
     return Results(entries)
 
@@ -133,7 +132,7 @@ def test_a_run_under_common_noise_is_that_of_the_closed_loop() -> None:
         for each in common_noise.tasks(Options(quick=True))
         if each.kind == 'herding'
         and each.parameters['common_noise'] == 1.0
-        and each.parameters['settings'].get('mapping', {}).get('max_iterations') == 0
+        and each.parameters['settings'].get('mapping.max_iterations') == 0
     ]
     found = EXPERIMENTS['herding'](**task.parameters)
     crowd, control = Crowd(common_noise=1.0), Control(mapping=Mapping(paths=8, max_iterations=0))

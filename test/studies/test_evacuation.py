@@ -13,7 +13,7 @@ from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.study import Options, Results
 from herding_ros.studies.task import Task
 
-FAST = {'speed': 0.05}
+FAST = {'reference.speed': 0.05}
 
 
 def result_of(task: Task) -> dict[str, Any] | None:
@@ -73,7 +73,7 @@ def test_guides_start_ahead_and_are_followed() -> None:
     """The same flock in the same noise: one guide leads where one dog has only begun."""
     given: dict[str, Any] = {
         'sheep': 9, 'dogs': 1, 'sigma': 0.01, 'goal': [0.5, 0.5], 'seed': 1, 'time_limit': 40.0,
-        'stop': True, 'every': 10.0, 'settings': {'reference': FAST},
+        'stop': True, 'every': 10.0, 'settings': FAST,
     }  # fmt: skip
     guide, dog = (
         EXPERIMENTS['herding']('planner', crowd=crowd, **given) for crowd in ('guided', 'cohesive')

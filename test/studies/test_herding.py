@@ -11,7 +11,7 @@ from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.measures import course, measures
 
 GOAL = np.array([0.5, 0.5])
-SMALL: dict[str, Any] = {'horizon': {'length': 8.0, 'accepted': 4.0}, 'mapping': {'paths': 20}}
+SMALL: dict[str, Any] = {'horizon.length': 8.0, 'horizon.accepted': 4.0, 'mapping.paths': 20}
 
 
 def run(policy: str, **changes: Any) -> dict[str, Any]:

@@ -17,9 +17,12 @@ from herding_ros.studies.task import Task
 
 HERD = {'dogs': 5, 'seed': 3}
 SMALL = {
-    'horizon': {'length': 10.0, 'accepted': 5.0},
-    'mapping': {'paths': 96, 'max_iterations': 2, 'tolerance': 1e-5},
-    'coarse': {'markers': 32},
+    'horizon.length': 10.0,
+    'horizon.accepted': 5.0,
+    'mapping.paths': 96,
+    'mapping.max_iterations': 2,
+    'mapping.tolerance': 1e-5,
+    'coarse.markers': 32,
 }
 
 
@@ -79,7 +82,7 @@ def test_rate_is_the_slope_of_the_errors() -> None:
 def test_windows_are_planned_for_in_both_ways() -> None:
     for task in study.tasks(Options()):
         if task.kind == 'mean_field_mapping':
-            markers = task.parameters['control']['coarse']['markers']
+            markers = task.parameters['control']['coarse.markers']
             way = 'all sheep' if 2 * markers >= task.parameters['sheep'] else 'mean-field limit'
             assert markers == study._COARSE[way]
     assert study._COARSE['mean-field limit'] == Control().coarse.markers

@@ -18,7 +18,7 @@ from herding_ros.model.simulation import Simulation, World
 from herding_ros.studies import observation
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.herding import Watched
-from herding_ros.studies.experiments.settings import differences
+from herding_ros.studies.runs import settings_of
 from herding_ros.studies.study import Options, Results
 
 GOAL = np.array([0.5, 0.5])
@@ -35,7 +35,7 @@ def run(noise: float, control: Control = SMALL, **changes: Any) -> dict[str, Any
         'noise': noise,
         'seed': 1,
         'time_limit': 8.0,
-        'settings': differences(control, Control()),
+        'settings': settings_of(control),
     }
     return EXPERIMENTS['herding'](**(given | changes))
 
@@ -55,32 +55,32 @@ def test_a_run_is_that_of_the_closed_loop() -> None:
     assert found['final_spread'] == pytest.approx(math.sqrt(np.square(offset).sum() / 9))
 
 
-def test_errors_are_those_of_what_is_seen_and_of_what_is_believed() -> None:
+def test_errors_are_those_of_observations_and_of_estimates() -> None:
     exact, raw, better = (
         run(0.0)['errors'],
         run(0.05)['errors'],
         run(0.05, filtered(0.05))['errors'],
     )
     for quantity in ('position', 'velocity', 'dog'):
-        # Sheep are seen in single precision.
-        assert exact['seen'][quantity] == exact['believed'][quantity] < 1e-7
-        assert raw['seen'][quantity] == raw['believed'][quantity]
-        assert raw['seen'][quantity] == pytest.approx(0.05, rel=0.1)
-        assert better['seen'][quantity] == pytest.approx(0.05, rel=0.1)
-        assert better['believed'][quantity] < 0.6 * better['seen'][quantity]
+        # Sheep are observed in single precision.
+        assert exact['observed'][quantity] == exact['estimated'][quantity] < 1e-7
+        assert raw['observed'][quantity] == raw['estimated'][quantity]
+        assert raw['observed'][quantity] == pytest.approx(0.05, rel=0.1)
+        assert better['observed'][quantity] == pytest.approx(0.05, rel=0.1)
+        assert better['estimated'][quantity] < 0.6 * better['observed'][quantity]
 
 
 def test_errors_are_measured_against_the_state_at_that_instant() -> None:
     simulation = Simulation(Crowd(), World(sheep=4, dogs=2, seed=3), GOAL)
     pilot = LockstepPilot(RecedingHorizon(Crowd(), SMALL, GOAL), 2)
-    watched = Watched(as_policy(pilot, []), pilot, simulation)
-    assert set(watched.errors()['seen'].values()) == {0.0}
+    watched = Watched(as_policy(pilot, []), simulation, pilot)
+    assert set(watched.errors()['observed'].values()) == {0.0}
     squares = []
     for k in range(3):
-        seen = simulation.observe().state
-        squares.append(np.square(seen.x - simulation.state.x).mean())
-        simulation.advance(watched(seen, 0.1 * k))
-    assert watched.errors()['seen']['position'] == pytest.approx(math.sqrt(np.mean(squares)))
+        observed = simulation.observe().state
+        squares.append(np.square(observed.x - simulation.state.x).mean())
+        simulation.advance(watched(observed, 0.1 * k))
+    assert watched.errors()['observed']['position'] == pytest.approx(math.sqrt(np.mean(squares)))
 
 
 def results_of(
@@ -90,17 +90,17 @@ def results_of(
     entries = []
     for task in observation.tasks(Options()):
         given = task.parameters
-        expected = given['settings'].get('sensor', {}).get('position_noise', 0.0)
-        wanted = times.get((given['dogs'], given['noise'], expected))
-        if wanted is None or given['seed'] >= len(wanted):
+        expected = given['settings'].get('sensor.position_noise', 0.0)
+        given_times = times.get((given['dogs'], given['noise'], expected))
+        if given_times is None or given['seed'] >= len(given_times):
             continue
-        time = wanted[given['seed']]
+        time = given_times[given['seed']]
         errors = {'position': 0.3 * expected, 'velocity': 0.2 * expected, 'dog': 0.25 * expected}
-        seen = dict.fromkeys(errors, given['noise'])
+        observed = dict.fromkeys(errors, given['noise'])
         result = {
             'arrived': time is not None, 'time': time, 'duration': time or 400.0,
             'max_spread': 0.3, 'closest': 0.04, 'final_distance': 0.04, 'final_spread': 0.25,
-            'dogs_run': 2.0, 'energy': 0.1, 'errors': {'seen': seen, 'believed': errors},
+            'dogs_run': 2.0, 'energy': 0.1, 'errors': {'observed': observed, 'estimated': errors},
             'paths': {'dogs': [[[0, 0]] * given['dogs']]},
         }  # fmt: skip
         entries.append((task, json.loads(json.dumps(result))))

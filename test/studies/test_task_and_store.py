@@ -4,6 +4,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,22 @@ def test_what_json_cannot_hold_is_refused_and_leaves_nothing(tmp_path: Path) -> 
     with pytest.raises(ValueError, match='not JSON compliant'):
         store.keep(TASK, {'drift': math.nan}, 1.5)
     assert [path for path in tmp_path.rglob('*') if path.is_file()] == []
+
+
+def test_a_signal_at_the_last_moment_stays_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replace = os.replace
+
+    def replace_and_be_interrupted(old: str, new: Path) -> None:
+        replace(old, new)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, 'replace', replace_and_be_interrupted)
+    store = Store(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        store.keep(TASK, RESULT, 1.5)
+    assert store.load(TASK) == RESULT
 
 
 def test_only_what_computes_counts_as_code(

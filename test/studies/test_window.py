@@ -20,7 +20,7 @@ from herding_ros.model.noise import noise_paths
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.case import Case
 from herding_ros.studies.experiments.direct import pathwise_gradient
-from herding_ros.studies.experiments.settings import changed, differences
+from herding_ros.studies.runs import settings_of
 
 project = Holonomic().project
 
@@ -34,21 +34,21 @@ def case(sigma: float = 0.03) -> Case:
     return Case(9, 2, sigma, 1, CONTROL)
 
 
-def test_settings_survive_the_way_through_differences() -> None:
+def test_settings_are_the_differences_from_the_default() -> None:
     for control in (Control(), PAPER, CONTROL, replace(PAPER, optimiser=Optimiser('ncg'))):
-        assert changed(Control(), differences(control, Control())) == control
-    assert differences(Control(), Control()) == {}
+        assert Control().with_values(settings_of(control)) == control
+    assert settings_of(Control()) == {}
     with pytest.raises(ValueError, match=r'Mapping\.paths must be .* got 0'):
-        changed(Control(), {'mapping': {'paths': 0}})
+        Control().with_values({'mapping.paths': 0})
 
 
 def test_pathwise_gradient_is_the_derivative() -> None:
     """Central differences in random directions; their error falls with the square."""
     each, rng = case(), np.random.default_rng(3)
-    model, wanted = each.coarse, each.deterministic.centre
-    noise = noise_paths(rng, each.crowd, 9, model.dt, len(wanted) - 1, 7)
+    model, target = each.coarse, each.deterministic.centre
+    noise = noise_paths(rng, each.crowd, 9, model.dt, len(target) - 1, 7)
     u = project(rng.uniform(-0.05, 0.05, each.deterministic.plan.u.shape), 0.05)
-    value = partial(pathwise_gradient, model, noise, wanted)
+    value = partial(pathwise_gradient, model, noise, target)
     _, gradient = value(u)
     for _ in range(3):
         h = rng.standard_normal(u.shape)
@@ -63,10 +63,10 @@ def test_pathwise_gradient_is_the_derivative() -> None:
 
 def test_value_is_that_of_the_mean_over_paths() -> None:
     each = case()
-    model, wanted, u = each.coarse, each.deterministic.centre, each.deterministic.plan.u
+    model, target, u = each.coarse, each.deterministic.centre, each.deterministic.plan.u
     rng = np.random.default_rng(each.seen)
-    noise = noise_paths(rng, each.crowd, 9, model.dt, len(wanted) - 1, 20)
-    value, _ = pathwise_gradient(model, noise, wanted, u)
+    noise = noise_paths(rng, each.crowd, 9, model.dt, len(target) - 1, 20)
+    value, _ = pathwise_gradient(model, noise, target, u)
     singles = [
         rollout(each.crowd, each.state, u, model.dt, model.substeps, noise.path(i)).x
         for i in range(20)
@@ -78,18 +78,18 @@ def test_value_is_that_of_the_mean_over_paths() -> None:
 
 def test_without_noise_the_gradient_is_that_of_the_coarse_model() -> None:
     each = case(0.0)
-    model, wanted = each.coarse, each.deterministic.centre + 0.01
+    model, target = each.coarse, each.deterministic.centre + 0.01
     u = 0.5 * each.deterministic.plan.u
-    noise = noise_paths(np.random.default_rng(0), each.crowd, 9, model.dt, len(wanted) - 1, 3)
-    objective = Objective([Tracking(1.0, 0.0, wanted)])
+    noise = noise_paths(np.random.default_rng(0), each.crowd, 9, model.dt, len(target) - 1, 3)
+    objective = Objective([Tracking(1.0, 0.0, target)])
     expected = model.value_and_gradient(objective, u)
-    found = pathwise_gradient(model, noise, wanted, u)
+    found = pathwise_gradient(model, noise, target, u)
     assert found[0] == pytest.approx(expected[0], rel=1e-12)
     np.testing.assert_allclose(found[1], expected[1], rtol=1e-9, atol=1e-15)
 
 
 def test_direct_optimisation_and_mapping_start_from_the_same_error() -> None:
-    settings = differences(CONTROL, Control())
+    settings = settings_of(CONTROL)
     direct = EXPERIMENTS['direct'](
         **HERD, paths=20, iterations=12, judge_paths=200, control=settings
     )
@@ -123,7 +123,7 @@ def variant(**changes: Any) -> dict[str, Any]:
         'broyden': True,
         'iterations': 2,
     } | changes
-    settings = differences(CONTROL, Control())
+    settings = settings_of(CONTROL)
     return EXPERIMENTS['variant'](**HERD, paths=20, judge_paths=200, control=settings, **given)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from herding_ros.model.jit import kernel
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.state import Array
 
@@ -29,14 +28,18 @@ class Holonomic(Parameters):
         """Return the positions (K+1, 2, M) under u (intervals, M, 2): d_k+1 = d_k + dt u_k."""
         ds = np.empty((len(u) * substeps + 1, 2, len(d)))
         ds[0] = d.T
-        _rollout(ds, u, dt, substeps)
+        from .holonomic_kernels import rollout  # a program's help needs no Numba
+
+        rollout(ds, u, dt, substeps)
         return ds
 
     def transpose(self, ds: Array, u: Array, source: Array, dt: float, substeps: int) -> Array:
         """Return derivatives with respect to u: each command moves its dog at all later steps."""
+        from .holonomic_kernels import transpose
+
         intervals, dogs, _ = u.shape
         rows = np.zeros((intervals, 2, source[0, 0].size))
-        _transpose(source.reshape(len(source), 2, -1), dt, substeps, rows)
+        transpose(source.reshape(len(source), 2, -1), dt, substeps, rows)
         rows = rows.reshape(intervals, 2, dogs, *source.shape[3:])
         return np.ascontiguousarray(np.moveaxis(rows, 1, 2))
 
@@ -47,23 +50,3 @@ class Holonomic(Parameters):
     def odometry(self, d: Array, u: Array) -> tuple[Array, Array, Array]:
         """Return position d, heading 0 (a holonomic dog need not turn), and velocity u."""
         return d, np.zeros(len(d)), u
-
-
-@kernel
-def _rollout(d: Array, u: Array, dt: float, substeps: int) -> None:
-    """Fill d[K+1, 2, M] from its first entry; u[intervals, M, 2]."""
-    for k in range(d.shape[0] - 1):
-        for c in range(2):
-            for m in range(d.shape[2]):
-                d[k + 1, c, m] = d[k, c, m] + dt * u[k // substeps, m, c]
-
-
-@kernel
-def _transpose(source: Array, dt: float, substeps: int, out: Array) -> None:
-    """Add to out[intervals, 2, lanes] the transpose of _rollout on source[K+1, 2, lanes]."""
-    nu = np.zeros(source.shape[1:])
-    for k in range(source.shape[0] - 2, -1, -1):
-        for c in range(2):
-            for i in range(source.shape[2]):
-                nu[c, i] += dt * source[k + 1, c, i]
-                out[k // substeps, c, i] += dt * nu[c, i]

@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.state import Array
 
-from . import forms
 from .potential import Potential
+
+if TYPE_CHECKING:
+    from .forms import MorseCoefficients
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Morse(Potential):
             1.0 / self.attraction_length,
         )
 
-    def kernel_form(self) -> forms.MorseCoefficients:
+    def kernel_form(self) -> MorseCoefficients:
         """Return the coefficients: kernels evaluate the formula of Morse potentials."""
         return self.coefficients
 
@@ -45,13 +48,18 @@ class Morse(Potential):
 
     def derivative(self, r: Array) -> Array:
         """P'(r) [m/s^2]."""
-        a, _ = forms.pair_terms(np.square(r), self.coefficients)
+        a, _ = self._terms(np.square(r))
         return a * r
 
     def second_derivative(self, r: Array) -> Array:
         """P''(r) [1/s^2]."""
-        a, b = forms.pair_terms(np.square(r), self.coefficients)
+        a, b = self._terms(np.square(r))
         return a + b * np.square(r)
+
+    def _terms(self, r2: Array) -> tuple[Array, Array]:
+        from .forms import pair_terms  # a program's help needs no Numba
+
+        return pair_terms(r2, self.coefficients)
 
     def without_ranges_below(self, length: float) -> Morse:
         """Return the potential without what has a shorter range than this [m], or the same."""

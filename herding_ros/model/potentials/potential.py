@@ -5,13 +5,15 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.state import Array
 
-from . import forms
+if TYPE_CHECKING:
+    from .forms import PotentialForm, Table
 
 _FARTHEST = 1e3
 """A table covers distances up to this [m]; P'/r is constant beyond."""
@@ -42,7 +44,7 @@ class Potential(Parameters):
         """Distance [m] within which a table takes P'/r for constant."""
         return 1e-6
 
-    def kernel_form(self) -> forms.PotentialForm:
+    def kernel_form(self) -> PotentialForm:
         """Return the form for the kernels: a table, unless a potential overrides it.
 
         Raises ValueError if a derivative is not finite everywhere in its range.
@@ -55,12 +57,14 @@ class Potential(Parameters):
 
 
 @cache
-def _table(potential: Potential) -> forms.Table:
+def _table(potential: Potential) -> Table:
     """Tabulate P'/r by cubic pieces in r**2, with the derivative in r**2 given at the nodes.
 
     Nodes stand closer where r is small, at a fixed relative distance: 128 from one power of
     two to the next. The error falls with its fourth power: 1e-9 relative for P' like r**-1.
     """
+    from . import forms  # a program's help needs no Numba
+
     nodes = forms.table_nodes(potential.nearest**2, _FARTHEST**2)
     r = np.sqrt(nodes)
     a = potential.derivative(r) / r

@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from herding_ros.checks import check_finite, check_frame, check_goal, check_size, Refused
 from herding_ros.model.state import Array
-from herding_ros.nodes.refusals import Refused
 from herding_ros.nodes.wire import Reader
 from herding_ros.point_cloud import points
 
-from .checks import check_finite, check_frame, check_size
 from .stamps import dog_frame, turned
 
 _ODOMETRY_NUMBERS = 7 + 36 + 6 + 36
@@ -29,6 +28,9 @@ _TO_VELOCITY = 7 + 36 + 2
 
 _ROUNDING = 0.1
 """By how much the squared length of a quaternion may differ from 1."""
+
+_LARGEST_SINGLE = 1e6
+"""Single precision resolves 6 cm there [m]: farther out it would not see a sheep move."""
 
 _MOST_FIELDS = 64
 """Fields of a point cloud: each takes room and time, before the points are looked at."""
@@ -47,7 +49,8 @@ def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
     """Sheep in a PointCloud2, sorted by id; more than `most` are refused unseen.
 
     Fields x, y, vx, vy must be there as floats, in any order and with any others. An integer
-    field id identifies the sheep; without it their order does.
+    field id identifies the sheep; without it their order does. In a cloud that says that it is
+    not dense, points that are not finite are sheep out of sight: they are left out.
     """
     reader = Reader(data)
     ns, given = reader.header()
@@ -61,16 +64,39 @@ def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
     with np.errstate(invalid='ignore'):  # converting some NaN warns on stderr
         for i, name in enumerate(('x', 'y', 'vx', 'vy')):
             values[:, i] = _column(sheep, name, 'f', 'FLOAT32 or FLOAT64')
+    ids: NDArray[np.uint32] = np.arange(len(sheep), dtype=np.uint32)
+    if 'id' in (sheep.dtype.names or ()):
+        ids = _column(sheep, 'id', 'iu', 'integer').astype(np.uint32)
+    in_sight = np.isfinite(values).all(axis=1)
+    if not in_sight.all():
+        if cloud.is_dense:
+            raise Refused(
+                'not finite',
+                'sheep must be finite in a cloud with is_dense: true, got NaN or infinite values; '
+                'with false it may have sheep out of sight',
+            )
+        if not in_sight.any():
+            raise Refused('empty', 'at least one sheep must be in sight, got no finite point')
+        ids, values = ids[in_sight], values[in_sight]
     check_size('sheep positions and velocities', float(values.min()), float(values.max()))
-    if not any(field.name == 'id' for field in cloud.fields):
-        return Sheep(ns, np.arange(len(sheep), dtype=np.uint32), values[:, :2], values[:, 2:])
-    ids = _column(sheep, 'id', 'iu', 'integer').astype(np.uint32)
+    _check_resolution(sheep.dtype, values)
     if not (ids[1:] > ids[:-1]).all():
         order = np.argsort(ids)
         ids, values = ids[order], values[order]
         if (ids[1:] == ids[:-1]).any():
             raise Refused('duplicate ids', 'two sheep have the same id; each needs its own')
     return Sheep(ns, ids, values[:, :2], values[:, 2:])
+
+
+def _check_resolution(dtype: np.dtype[np.void], values: Array) -> None:
+    """Refuse positions in single precision where that would not see a sheep move."""
+    size = float(np.abs(values[:, :2]).max())
+    if size > _LARGEST_SINGLE and np.float32 in (dtype['x'].type, dtype['y'].type):
+        raise Refused(
+            'too large',
+            f'sheep positions in FLOAT32 must be at most {_LARGEST_SINGLE:g} m, got {size:g} m, '
+            f'which it resolves to {np.spacing(np.float32(size)):g} m; send FLOAT64',
+        )
 
 
 def _column(sheep: NDArray[np.void], name: str, kinds: str, allowed: str) -> NDArray[np.generic]:
@@ -98,6 +124,7 @@ class _PointCloud(NamedTuple):
     point_step: int
     row_step: int
     data: memoryview
+    is_dense: bool
 
 
 def _point_cloud_in(reader: Reader, most: int) -> _PointCloud:
@@ -116,10 +143,12 @@ def _point_cloud_in(reader: Reader, most: int) -> _PointCloud:
     fields = tuple(_Field(reader.string(), *reader.numbers('IBxxxI')) for _ in range(field_count))
     is_bigendian, point_step, row_step = reader.numbers('?xxxII')
     points_data = reader.sequence()
-    # One byte, is_dense, and what fills up the message to a multiple of four.
-    if not 1 <= reader.left <= 4:
-        raise Refused('malformed', f'1 to 4 bytes must follow the points, got {reader.left}')
-    return _PointCloud(height, width, fields, is_bigendian, point_step, row_step, points_data)
+    is_dense = reader.flag()
+    if reader.left > 3:  # a message may be filled up to a multiple of four
+        raise Refused('malformed', f'at most 3 bytes must follow is_dense, got {reader.left}')
+    return _PointCloud(
+        height, width, fields, is_bigendian, point_step, row_step, points_data, is_dense
+    )
 
 
 def dog_in(data: bytes, frame: str) -> tuple[int, Array, float, Array]:
@@ -178,7 +207,6 @@ def goal_in(data: bytes, frame: str) -> Array:
     """Destination (2,) [m] in a PoseStamped."""
     reader = Reader(data)
     _, given = reader.header()
-    check_frame('goal', given, frame)
     x, y = reader.doubles(7, 2)
-    check_size('goal', x, y)
+    check_goal(given, x, y, frame)
     return np.array([x, y])

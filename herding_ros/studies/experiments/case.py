@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from herding_ros.control.coarse_model import CoarseModel
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import Control, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
@@ -20,8 +20,6 @@ from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array, HerdState
-
-from .settings import changed, with_paths
 
 _AT_ONCE = 100
 """Number of paths whose noise is in memory at a time."""
@@ -46,8 +44,8 @@ class Case:
     def experiment(cls, run: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
         """Return `run`, a function of a case and more, as one of values that JSON can hold.
 
-        The case is given by its fields: control as differences from Control(), and paths, the
-        number of Monte Carlo paths of its mapping.
+        The case is given by its fields: control as differences from Control() by dotted names,
+        and paths, the number of Monte Carlo paths of its mapping.
         """
 
         def of_values(
@@ -56,11 +54,11 @@ class Case:
             sigma: float,
             seed: int,
             control: dict[str, Any],
-            paths: int | None = None,
+            paths: int = Mapping.paths,
             common_noise: float = 0.0,
             **more: Any,
         ) -> dict[str, Any]:
-            settings = with_paths(changed(Control(), control), paths)
+            settings = Control().with_values({'mapping.paths': paths, **control})
             return run(cls(sheep, dogs, sigma, seed, settings, common_noise), **more)
 
         return of_values

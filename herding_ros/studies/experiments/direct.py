@@ -22,13 +22,13 @@ _TOLERANCE = 1e-4
 
 
 def pathwise_gradient(
-    model: CoarseModel, noise: NoisePaths, wanted: Array, u: Array
+    model: CoarseModel, noise: NoisePaths, target: Array, u: Array
 ) -> tuple[float, Array]:
     """Return |X(u) - reference|^2 / 2 in L2(0, T), X the mean centre over the paths; its gradient.
 
     The sample average is a deterministic function of u. Its derivative is the mean over the
     paths of the derivatives along each path, by the reverse sweep with that path's noise. As
-    the source is known only when all paths are, all trajectories are kept. wanted: (K+1, 2) [m];
+    the source is known only when all paths are, all trajectories are kept. target: (K+1, 2) [m];
     the gradient is that in L2(0, T), in the shape of u (intervals, M, 2).
     """
     trajectories = [
@@ -44,7 +44,7 @@ def pathwise_gradient(
         for i in range(noise.paths)
     ]
     n = trajectories[0].n
-    difference = np.mean([centre(each.x) for each in trajectories], axis=0) - wanted
+    difference = np.mean([centre(each.x) for each in trajectories], axis=0) - target
     source = np.zeros_like(trajectories[0].xs)
     source[1:, :, :n] = model.dt / (n * noise.paths) * difference[1:, :, None]
     dogs = sum(reverse_sweep(model.crowd, each, source) for each in trajectories)
@@ -59,7 +59,7 @@ def run(case: Case, iterations: int, judge_paths: int) -> dict[str, Any]:
     Starts from the deterministic plan, as a mapping does. errors: at each gradient; a gradient
     costs a rollout and a reverse sweep of every path.
     """
-    u_coarse, wanted = case.deterministic.plan.u, case.deterministic.centre
+    u_coarse, target = case.deterministic.plan.u, case.deterministic.centre
     noise = case.draw(np.random.default_rng(case.seen), case.control.mapping.paths)
     errors: list[float] = []
     # Relative to the first value the projected gradient can be compared with a tolerance.
@@ -67,7 +67,7 @@ def run(case: Case, iterations: int, judge_paths: int) -> dict[str, Any]:
     first = 0.5 * case.error(case.expected_centre(u_coarse, noise)) ** 2
 
     def value_and_gradient(u: Array) -> tuple[float, Array]:
-        value, gradient = pathwise_gradient(model, noise, wanted, u)
+        value, gradient = pathwise_gradient(model, noise, target, u)
         errors.append(math.sqrt(2.0 * value))
         return value / first, gradient / first
 

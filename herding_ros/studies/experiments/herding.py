@@ -12,7 +12,7 @@ import numpy as np
 
 from herding_ros.control.closed_loop import as_policy, play, Policy
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import Control, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.crowd import CROWDS
@@ -21,48 +21,36 @@ from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 
 from .measures import course, measures, plans, snapshots_at
-from .settings import changed, with_paths
 from .strombom import Strombom
 
 _QUANTITIES = {'position': 'x', 'velocity': 'v', 'dog': 'd'}
 
 
-class Stopwatch:
-    """A policy with the processor time [s] that it takes.
+class Watched:
+    """A policy with its processor time [s], and the errors of what it sees and estimates.
 
     Time of this process on all its cores: other load on the machine does not count.
     """
 
-    def __init__(self, policy: Policy) -> None:
-        """Measure this policy."""
-        self._policy = policy
+    def __init__(
+        self, policy: Policy, simulation: Simulation, pilot: LockstepPilot | None = None
+    ) -> None:
+        """Watch a policy in this world; pilot: the one that decides in it, if any."""
+        self._policy, self._simulation, self._pilot = policy, simulation, pilot
         self.seconds = 0.0
+        self._squares: dict[str, list[list[float]]] = {'observed': [], 'estimated': []}
 
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the velocities (M, 2) [m/s] of the policy."""
         started = time.process_time()
         u = self._policy(observed, t)
         self.seconds += time.process_time() - started
-        return u
-
-
-class Watched:
-    """The controller with the errors of its observations and of its estimates."""
-
-    def __init__(self, policy: Policy, pilot: LockstepPilot, simulation: Simulation) -> None:
-        """Watch a pilot, which decides in `policy`, in this world."""
-        self._policy = policy
-        self._pilot = pilot
-        self._simulation = simulation
-        self._squares: dict[str, list[list[float]]] = {'seen': [], 'believed': []}
-
-    def __call__(self, observed: HerdState, t: float) -> Array:
-        """Return the velocities (M, 2) [m/s] of the controller."""
-        u = self._policy(observed, t)
-        estimate = self._pilot.estimate
-        assert estimate is not None
+        states = {'observed': observed}
+        if self._pilot is not None:
+            assert self._pilot.estimate is not None
+            states['estimated'] = self._pilot.estimate.state
         truth = self._simulation.state
-        for name, state in (('seen', observed), ('believed', estimate.state)):
+        for name, state in states.items():
             self._squares[name].append(
                 [
                     float(np.square(getattr(state, a) - getattr(truth, a)).mean())
@@ -74,7 +62,7 @@ class Watched:
     def errors(self) -> dict[str, dict[str, float]]:
         """Return root mean squares per coordinate, over the whole run.
 
-        Under 'seen' and 'believed': position and dog [m], velocity [m/s]; zero without any
+        Under 'observed' and 'estimated': position and dog [m], velocity [m/s]; zero without any
         observation.
         """
         return {
@@ -97,7 +85,7 @@ def run(
     goal: list[float],
     seed: int,
     time_limit: float,
-    paths: int | None = None,
+    paths: int = Mapping.paths,
     noise: float | None = None,
     crowd: str = 'cohesive',
     common_noise: float = 0.0,
@@ -107,8 +95,9 @@ def run(
 ) -> dict[str, Any]:
     """Herd a flock by a policy and return the run in numbers.
 
-    policy: 'planner' (settings: differences from Control(), apart from the number of Monte Carlo
-    paths), 'strombom' (settings: those of Strombom) or 'none', a dog that no sheep notices.
+    policy: 'planner' (settings: differences from Control() by dotted names; paths: its number of
+    Monte Carlo paths), 'strombom' (settings: those of Strombom) or 'none', a dog that no sheep
+    notices.
     noise: of all observations [m and m/s], by default that of World; crowd: name of a preset;
     stop: end with the arrival; every: spacing of the stored course [s]; snapshots: instants [s].
     The flock and its random forces depend on the seed alone.
@@ -119,31 +108,29 @@ def run(
     if noise is not None:
         world = replace(world, position_noise=noise, velocity_noise=noise)
     reports: list[SolveReport] = []
-    decide: Policy
+    pilot: LockstepPilot | None = None
+    decide: Policy = _stand
     if policy == 'planner':
-        control = with_paths(changed(Control(), settings), paths)
+        control = Control().with_values({'mapping.paths': paths, **settings})
         pilot = LockstepPilot(RecedingHorizon(herd, control, destination, seed), dogs)
         decide = as_policy(pilot, reports)
     elif policy == 'strombom':
         decide = Strombom(destination, np.random.default_rng([seed, 30_000]), **settings)
     elif policy == 'none':
         herd = replace(herd, dog=Morse(0.0, 1.0, 0.0, 1.0))
-        decide = _stand
     else:
         raise ValueError(f"policy must be 'planner', 'strombom' or 'none', got {policy!r}")
     simulation = Simulation(herd, world, destination)
-    decide = timed = Stopwatch(decide)
-    if policy == 'planner':
-        decide = watched = Watched(timed, pilot, simulation)
-    track = play(simulation, decide, time_limit, stop)
+    watched = Watched(decide, simulation, pilot)
+    track = play(simulation, watched, time_limit, stop)
     period = world.control_period
     result = {
         **measures(track, destination, period),
-        'policy_cpu': timed.seconds,
+        'policy_cpu': watched.seconds,
         'paths': course(track, destination, max(round(every / period), 1)),
         'snapshots': snapshots_at(track, snapshots, period),
     }
-    if policy == 'planner':
+    if pilot is not None:
         result |= {'plans': plans(reports), 'errors': watched.errors()}
     return result
 

@@ -48,7 +48,7 @@ def table(case: Case, judge_paths: int, trace: bool) -> dict[str, Any]:
         'calls': {'fine': report.fine_calls, 'extraction': report.extraction_calls},
     }
     if trace:
-        centres = {'wanted': case.deterministic.centre, 'before': before, 'after': after}
+        centres = {'target': case.deterministic.centre, 'before': before, 'after': after}
         result['trace'] = {name: case.trace(each) for name, each in centres.items()}
     return result
 
@@ -73,7 +73,7 @@ def common_noise(case: Case, judge_paths: int, trace: bool) -> dict[str, Any]:
     }
     if trace:
         result['trace'] = {
-            'wanted': case.trace(case.deterministic.centre),
+            'target': case.trace(case.deterministic.centre),
             'singles': [case.trace(each) for each in singles[:_DRAWN]],
         }
     return result

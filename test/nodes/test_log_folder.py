@@ -9,7 +9,7 @@ import tempfile
 
 import pytest
 
-from herding_ros.nodes.running import find_log_folder
+from herding_ros.nodes.middleware import find_log_folder
 
 
 @pytest.fixture(autouse=True)
