@@ -27,7 +27,6 @@ def points(cloud: Any, names: tuple[str, ...] = SHEEP) -> NDArray[np.void]:
     fields = tuple(
         (f.name, f.offset, f.datatype, f.count) for f in cloud.fields if f.name in names
     )
-    dtype = _dtype(fields, cloud.point_step, '>' if cloud.is_bigendian else '<')
     rows = np.frombuffer(cloud.data, np.uint8)
     used = cloud.width * cloud.point_step
     row_step = cloud.row_step or used
@@ -36,6 +35,7 @@ def points(cloud: Any, names: tuple[str, ...] = SHEEP) -> NDArray[np.void]:
             f'the point cloud must have {cloud.height} rows of {row_step} bytes, each with '
             f'{cloud.width} points of {cloud.point_step} bytes, got {len(rows)} bytes in all'
         )
+    dtype = _dtype(fields, cloud.point_step, '>' if cloud.is_bigendian else '<')
     rows = rows.reshape(cloud.height, row_step)[:, :used]
     return np.ascontiguousarray(rows).view(dtype).ravel()
 

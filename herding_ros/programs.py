@@ -71,7 +71,7 @@ def guard_output() -> None:
 class _Unbreakable(io.FileIO):
     """Drops what is written once nobody reads it."""
 
-    def write(self, data: Any) -> int | None:  # type: ignore[override]
+    def write(self, data: Any, /) -> int:
         """Write bytes, or return as if they had been written."""
         try:
             return super().write(data)

@@ -102,9 +102,9 @@ class RunRecorder:
         package, kind = name.split('/')
         return STORE.types[f'{package}/msg/{kind}'](**fields)
 
-    def header(self, ns: int) -> Any:
+    def header(self, ns: int, frame: str = 'map') -> Any:
         stamp = self.make('builtin_interfaces/Time', sec=ns // 10**9, nanosec=ns % 10**9)
-        return self.make('std_msgs/Header', stamp=stamp, frame_id='map')
+        return self.make('std_msgs/Header', stamp=stamp, frame_id=frame)
 
     def pose(self, at: Any) -> Any:
         return self.make(
@@ -122,7 +122,8 @@ class RunRecorder:
         self, topic: str, ns: int, x: Any, v: Any, ids: Any = None, dtype: np.dtype[Any] = CLOUD
     ) -> None:
         points = np.zeros(len(x), dtype)
-        points['id'] = np.arange(len(x)) if ids is None else ids
+        if 'id' in (dtype.names or ()):
+            points['id'] = np.arange(len(x)) if ids is None else ids
         points['x'], points['y'] = np.transpose(x)
         points['vx'], points['vy'] = np.transpose(v)
         kinds = {('u', 4): 6, ('f', 4): 7, ('f', 8): 8}
@@ -170,9 +171,14 @@ class RunRecorder:
         header, twist = self.header(ns), self.twist(u)
         self.write(topic, self.make('geometry_msgs/TwistStamped', header=header, twist=twist))
 
-    def goal(self, ns: int, at: Any) -> None:
-        header, pose = self.header(ns), self.pose(at)
-        self.write('/goal_pose', self.make('geometry_msgs/PoseStamped', header=header, pose=pose))
+    def goal(self, ns: int, at: Any, topic: str = '/goal_pose', frame: str = 'map') -> None:
+        header, pose = self.header(ns, frame), self.pose(at)
+        self.write(topic, self.make('geometry_msgs/PoseStamped', header=header, pose=pose))
+
+    def advertise(self, topic: str, name: str) -> None:
+        """Record that there is a topic, without a message."""
+        definition, _ = STORE.generate_msgdef(name, ros_version=2)
+        self.bag.add_topic(topic, name, definition, [], STORE.hash_rihs01(name))
 
     def diagnostics(self, name: str, ns: int, **values: Any) -> None:
         status = self.make(

@@ -354,6 +354,8 @@ class _Tally:
         content = record.content
         if isinstance(content, Message):
             channel, time_ns = content.channel_id, content.log_time
+            if channel not in self.counts:
+                self._agrees &= (Opcode.CHANNEL, channel) in self._topics  # before it
             self.counts[channel] += 1
             self.first_ns[channel] = min(time_ns, self.first_ns.get(channel, time_ns))
             self.last_ns[channel] = max(time_ns, self.last_ns.get(channel, time_ns))
@@ -361,6 +363,8 @@ class _Tally:
                 self._entries[channel] += _ENTRY.pack(time_ns, record.start)
         elif isinstance(content, Schema | Channel):
             topics = self._repeated if self._data_end else self._topics
+            if isinstance(content, Channel):
+                self._agrees &= (Opcode.SCHEMA, content.schema_id) in topics
             topics[record.opcode, content.id] = hash(repr(content))
         elif isinstance(content, Chunk):
             self._end_chunk()

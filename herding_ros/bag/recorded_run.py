@@ -49,25 +49,42 @@ class Replan:
 class RecordedRun:
     """A recorded run: T states of N sheep and M dogs, K commands.
 
-    times: (T,) [s] from the first state; x: (T, N, 2) positions of the sheep [m];
-    v: (T, N, 2) their velocities [m/s]; d: (T, M, 2) positions of the dogs [m];
-    command_times: (K,) [s]; commands: (K, M, 2) the commands to the dogs [m/s], each until the
-    next; goal: (2,) the last destination [m]; parameters: of each node by its full name;
+    times: (T,) [s] from the first state; x: (T, N, 2) positions of the sheep [m], NaN where one
+    was not seen, at least one in each state; v: (T, N, 2) their velocities [m/s], NaN where they
+    are not known; d: (T, M, 2) positions of the dogs [m], NaN where one was silent;
+    dogs: (M,) their numbers; command_times: (K,) [s]; commands: (K, M, 2) the commands to the
+    dogs [m/s], each until the next; goal: (2,) the last destination [m], None if there is none;
+    replans: those that are in the bag; replans_made: their number by the controller's own count;
+    namespace: of sim and controller, '' for the root; parameters: of each node by its full name;
     version: of the package that recorded, or ''; wall_s: wall time from the first to the last
-    state [s].
+    state [s]; notes: what is not in these arrays, and why, or was not as it should be.
     """
 
     times: Array
     x: Array
     v: Array
     d: Array
+    dogs: tuple[int, ...]
     command_times: Array
     commands: Array
-    goal: Array
+    goal: Array | None
     replans: tuple[Replan, ...]
+    replans_made: int
+    namespace: str
     parameters: dict[str, dict[str, Any]]
     version: str
     wall_s: float
     topics: tuple[Topic, ...]
+    notes: tuple[str, ...]
     messages_lost: int | None = None
     """How many messages the recorder knew to be lost; None where it has not said."""
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Whether each sheep was seen in each state (T, N)."""
+        return np.isfinite(self.x[..., 0])
+
+    @property
+    def largest_gap_s(self) -> float:
+        """The longest time between two states [s]; 0 if there is only one."""
+        return round(float(np.diff(self.times).max(initial=0.0)), 9)

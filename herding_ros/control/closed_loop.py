@@ -101,7 +101,7 @@ def closed_loop(
     those that control.weights ask for. Raises ValueError if it counts on commands of another
     length than those of the world.
     """
-    check_lockstep(control.horizon, world.control_period)
+    check_lockstep(control.horizon.control_period, world.control_period)
     simulation = Simulation(crowd, world, finite('goal', goal, (2,)))
     planner = RecedingHorizon(crowd, control, simulation.goal, world.seed, costs)
     reports: list[SolveReport] = []

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+SLOWEST, FASTEST = 1e-3, 1e3
+"""Range of multiples of real time."""
+
 
 def lead_at(real_time_factor: float) -> float:
     """Return the controller's lead [s] at a multiple of real time.

@@ -56,7 +56,7 @@ class LockstepPilot(Pilot):
         if last is None or stamp <= last or self._is_period_known:
             return
         self._is_period_known = True
-        check_lockstep(self._control.horizon, (stamp - last) * 1e-9)
+        check_lockstep(self._control.horizon.control_period, (stamp - last) * 1e-9)
 
     def condition(self, t: float) -> Condition:
         """Return what the pilot is doing at t [s]."""

@@ -74,7 +74,7 @@ class Horizon(Parameters):
     accepted: float = quantity(
         10.0, 'time between two plans, half the length', 's', low=TINY, live=True
     )
-    control_period: float = quantity(0.1, 'time for which a command is constant', 's', low=TINY)
+    control_period: float = quantity(0.1, 'time for which a command is constant', 's', low=1e-6)
     substeps: int = quantity(
         2, 'time steps of the prediction within a control period', low=1, high=1000
     )
@@ -115,12 +115,12 @@ class OutOfStepError(ValueError):
     """Raised when controller and world cannot be in lockstep."""
 
 
-def check_lockstep(horizon: Horizon, period: float) -> None:
-    """Raise OutOfStepError unless a command lasts as long as the period of the world [s]."""
-    if abs(horizon.control_period / period - 1.0) > 1e-6:
+def check_lockstep(control_period: float, world_period: float) -> None:
+    """Raise OutOfStepError unless a command lasts as long as the world waits for one [s]."""
+    if abs(control_period / world_period - 1.0) > 1e-6:
         raise OutOfStepError(
             'horizon.control_period of the controller must be dt * substeps of the sim in '
-            f'lockstep, {period:g} s, got {horizon.control_period:g} s'
+            f'lockstep, {world_period:g} s, got {control_period:g} s'
         )
 
 
@@ -133,6 +133,7 @@ class Coarse(Parameters):
         'points that stand for a flock of more than twice as many sheep (its mean-field limit); '
         'smaller flocks are predicted sheep by sheep',
         low=1,
+        high=1_000_000,
     )
 
 
@@ -151,7 +152,7 @@ class Optimiser(Parameters):
         'm/s^0.5',
         low=0.0,
     )
-    max_iterations: int = quantity(60, 'most iterations of one solve', low=1)
+    max_iterations: int = quantity(60, 'most iterations of one solve', low=1, high=10_000)
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,9 @@ class Mapping(Parameters):
         low=2,
         high=10_000,
     )
-    max_iterations: int = quantity(3, 'most corrections of a plan; 0 plans without noise', low=0)
+    max_iterations: int = quantity(
+        3, 'most corrections of a plan; 0 plans without noise', low=0, high=1000
+    )
     tolerance: float = quantity(
         1e-3,
         "output: root mean square of the expected centre's error that is small enough [m]; "

@@ -11,7 +11,7 @@ from herding_ros.model.dynamics import rollout
 from herding_ros.model.state import HerdState
 
 from .background import Run, run_in_thread, StepTimes, Work
-from .parameters import Timing
+from .parameters import MOST_INTERVALS, Timing
 from .pilot import (
     Announcement,
     Clock,
@@ -45,7 +45,16 @@ class RealTimePilot(Pilot):
     def __init__(
         self, planner: Planner, dogs: int, timing: Timing, clock: Clock, run: Run = run_in_thread
     ) -> None:
-        """Plan by `planner`, not to be used elsewhere, for so many dogs, each solve by `run`."""
+        """Plan by `planner`, not to be used elsewhere, for so many dogs, each solve by `run`.
+
+        Raises ValueError if the lead is longer than any window.
+        """
+        period = planner.control.horizon.control_period
+        if timing.lead > MOST_INTERVALS * period:
+            raise ValueError(
+                f'lead must be at most {MOST_INTERVALS} times control_period, {period!r}, '
+                f'got {timing.lead!r}'
+            )
         self._timing = timing
         self._clock = clock
         self._run = run

@@ -16,6 +16,12 @@ import numpy as np
 
 _P = TypeVar('_P', bound='Parameters')
 
+TINY = 1e-9
+"""Lower bound of quantities that must be positive."""
+
+LARGE = 1e6
+"""Bound of numbers that have no other: products of some such numbers are finite."""
+
 
 def quantity(
     default: Any,
@@ -28,8 +34,11 @@ def quantity(
 ) -> Any:
     """Return a dataclass field with its meaning, unit and bounds (inclusive).
 
-    live: the value may change while a node runs (a dynamic parameter).
+    Numbers with a point have bounds in any case: those that are not given are `LARGE`. live: the
+    value may change while a node runs (a dynamic parameter).
     """
+    if type(default[0] if isinstance(default, tuple) else default) is float:
+        low, high = -LARGE if low is None else low, LARGE if high is None else high
     metadata = {
         'doc': doc, 'unit': unit, 'low': low, 'high': high, 'choices': choices, 'live': live,
     }  # fmt: skip
@@ -167,7 +176,3 @@ def _bounds(field: dataclasses.Field[Any]) -> str:
     if low is not None:
         return f'at least {low:g}'
     return '' if high is None else f'at most {high:g}'
-
-
-TINY = 1e-9
-"""Lower bound of quantities that must be positive."""

@@ -10,6 +10,9 @@ from .state import Array, HerdState
 GOAL = (0.5, 0.5)
 """The destination, unless another is given [m]."""
 
+MOST_SHEEP, MOST_DOGS = 1_000_000, 1000
+"""No herd is larger."""
+
 PASTURE = 0.4
 """Sheep start uniformly in a square of twice this side around the origin [m]."""
 DOG_RADIUS = 0.9

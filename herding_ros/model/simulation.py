@@ -11,7 +11,7 @@ from .crowd import Crowd
 from .flock import arrived, spread
 from .motion import Holonomic, MotionModel
 from .parameters import Parameters, quantity, TINY
-from .scenario import DOG_RADIUS, initial_herd
+from .scenario import DOG_RADIUS, initial_herd, MOST_DOGS, MOST_SHEEP
 from .state import Array, HerdState
 
 
@@ -19,11 +19,11 @@ from .state import Array, HerdState
 class World(Parameters):
     """The simulated world, apart from the crowd."""
 
-    sheep: int = quantity(30, 'number of sheep', low=1, high=1_000_000)
-    dogs: int = quantity(5, 'number of dogs', low=1, high=1000)
+    sheep: int = quantity(30, 'number of sheep', low=1, high=MOST_SHEEP)
+    dogs: int = quantity(5, 'number of dogs', low=1, high=MOST_DOGS)
     seed: int = quantity(0, 'seed of the initial flock and of all noise', low=0)
-    dt: float = quantity(0.01, 'time step', 's', low=TINY)
-    substeps: int = quantity(10, 'time steps in a control period', low=1)
+    dt: float = quantity(0.01, 'time step', 's', low=1e-6, high=10.0)
+    substeps: int = quantity(10, 'time steps in a control period', low=1, high=10_000)
     position_noise: float = quantity(
         0.01, 'standard deviation of observed positions', 'm', low=0.0
     )
@@ -91,7 +91,8 @@ class Simulation:
     def advance(self, u: Array) -> None:
         """Move on by one control period under the dogs' velocities u (M, 2) [m/s].
 
-        Commands beyond the speed limit are projected onto it.
+        Commands beyond the speed limit are projected onto it. Raises ValueError, and leaves the
+        state as it was, if forces or noise would take the herd beyond all numbers.
         """
         from .dynamics import rollout  # a program's help needs no Numba
         from .noise import increments
@@ -103,7 +104,10 @@ class Simulation:
         trajectory = rollout(
             self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
         )
-        self.state = trajectory.at(-1)
+        state = trajectory.at(-1)
+        if not np.isfinite(single(np.stack([state.x, state.v]))).all():
+            raise ValueError('positions and velocities must be finite in single precision')
+        self.state = state
         self.dog_velocities = u
         self.periods += 1
 

@@ -48,7 +48,7 @@ _NODES = {
     'controller': _Node(
         'Herds by space-mapping receding-horizon control: commands for the dogs from '
         'observations of sheep and dogs.',
-        'publishes: dog_<i>/cmd_vel, plan, herd/path, dog_<i>/path, /diagnostics\n'
+        'publishes: dog_<i>/cmd_vel, plan, herd/goal, herd/path, dog_<i>/path, /diagnostics\n'
         'subscribes to: sheep, dog_<i>/odom, goal_pose',
         (('', ControllerSettings()), ('', Control()), ('crowd.', Crowd())),
         (

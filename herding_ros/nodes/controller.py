@@ -31,6 +31,7 @@ from . import command_line, messages
 from .duplicates import sole_publisher
 from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
+from .mismatches import Mismatches, twist_type
 from .observations import Observations
 from .parameters import declare, declare_control, declare_crowd
 from .publishing import (
@@ -52,6 +53,9 @@ _STATE_PERIOD = 1.0
 """Wall time between two messages on /diagnostics about the node itself [s]."""
 
 _LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+_NEWEST = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Those who come late get one message: a goal before the last one is not in force."""
 """Room for what a slow subscriber has not received yet; a late one gets all that is in it."""
 
 
@@ -66,6 +70,7 @@ class Controller(HerdingNode):
         control = declare_control(self)
         self._control = control
         self._control_period = control.horizon.control_period
+        self._decided = 0  # time of the last decision [ns]
         planner = RecedingHorizon(crowd, control, np.array(settings.goal), settings.seed)
         self._pilot: LockstepPilot | RealTimePilot
         if settings.lockstep:
@@ -73,6 +78,7 @@ class Controller(HerdingNode):
         else:
             self._pilot = RealTimePilot(planner, settings.dogs, settings, self._seconds)
         self.load_kernels(warm_up)
+        self._mismatches = Mismatches(self)
         self._create_publishers()
         self.follow([('crowd.', crowd), ('', control)], self._pilot.adjust)
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
@@ -86,14 +92,24 @@ class Controller(HerdingNode):
         self._plan = sole_publisher(
             self, 'plan', lambda: create(MultiDOFJointTrajectory, 'plan', _LATCHED)
         )
+        self._goal = create(PoseStamped, 'herd/goal', _NEWEST)
         names = [dog_name(m) for m in range(self._settings.dogs)]
-        kind = TwistStamped if self._settings.stamped else Twist
         self._commands = [
-            publish(kind, f'{name}/cmd_vel', qos_overriding_options=ADJUSTABLE) for name in names
+            publish(
+                self._type_of_commands(f'{name}/cmd_vel'),
+                f'{name}/cmd_vel',
+                qos_overriding_options=ADJUSTABLE,
+            )
+            for name in names
         ]
         self._herd_path = publish(Path, 'herd/path')
         self._dog_paths = [publish(Path, f'{name}/path') for name in names]
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
+
+    def _type_of_commands(self, name: str) -> type[Twist] | type[TwistStamped]:
+        topic = self.resolve_topic_name(name)
+        others = self.get_subscriptions_info_by_topic(topic)
+        return twist_type(self, topic, self._settings, others)
 
     def stop(self) -> None:
         """End a solve that is under way early, since the node ends."""
@@ -113,7 +129,7 @@ class Controller(HerdingNode):
         ):
             return
         everything = [*self._commands, self._plan, self._herd_path, *self._dog_paths]
-        everything.append(self._diagnostics)
+        everything += [self._goal, self._diagnostics]
         if settings.wait_for and not is_heard(self, everything, settings.wait_for):
             return
         self.destroy_timer(self._waiting)
@@ -121,7 +137,10 @@ class Controller(HerdingNode):
             self, settings.dogs, settings.frame, settings.most_sheep, settings.state_timeout,
             self._control, self._refused,
         )  # fmt: skip
+        if not settings.lockstep:
+            self._mismatches.follow(self._observations.inboxes)
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1, raw=True)
+        self._publish_goal(np.array(settings.goal))
         self.create_timer(_STATE_PERIOD, self._publish_state, clock=self._wall)
         if settings.lockstep:
             self.create_timer(0.0, self._keep_in_step, clock=self._wall)
@@ -153,9 +172,10 @@ class Controller(HerdingNode):
         try:
             goal = messages.goal_in(data, self._settings.frame)
         except ValueError as error:
-            self._refused.add('goal_pose', error)
+            self._refused.add_request('goal_pose', error)
             return
         if self._pilot.move_goal(goal):
+            self._publish_goal(goal)
             self.get_logger().info(f'the destination is now ({goal[0]:g}, {goal[1]:g})')
 
     def _now(self) -> int:
@@ -168,6 +188,7 @@ class Controller(HerdingNode):
 
     def _carry_out(self, decision: Decision, ns: int) -> None:
         """Publish a decision, the command first."""
+        self._decided = ns
         if decision.command is not None:
             self._publish_command(decision.command, ns)
         if decision.announcement is not None:
@@ -179,7 +200,7 @@ class Controller(HerdingNode):
     def _publish_command(self, u: Array, ns: int) -> None:
         headings = self._observations.headings
         for m, publisher in enumerate(self._commands):
-            if self._settings.stamped:
+            if publisher.msg_type is TwistStamped:
                 publisher.publish(messages.command(u[m], headings[m], m + 1, ns))
             else:
                 publisher.publish(messages.twist(u[m], headings[m]))
@@ -197,6 +218,10 @@ class Controller(HerdingNode):
         self._herd_path.publish(messages.path(window.centre[::every], spacing, start, frame))
         for m, route in zip(members, window.dogs[::every].swapaxes(0, 1), strict=True):
             self._dog_paths[m].publish(messages.path(route, spacing, start, frame))
+
+    def _publish_goal(self, goal: Array) -> None:
+        """Publish the goal in force, stamped with the time from which on the dogs follow it."""
+        self._goal.publish(messages.pose(goal, self._decided, self._settings.frame))
 
     def _publish_report(self, announcement: Announcement, ns: int) -> None:
         """Say how a plan was found, and whether in time."""
@@ -224,8 +249,11 @@ class Controller(HerdingNode):
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
             **self._refused.report_values(),
+            **self._mismatches.report_values(),
         }
-        good = condition.good and not (pilot.plans_failed or self._refused.counts)
+        good = condition.good and not (
+            pilot.plans_failed or self._refused.counts or self._mismatches.report_values()
+        )
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         self._diagnostics.publish(
             messages.diagnostics(self.status_name('state'), now, level, condition.doing, values)

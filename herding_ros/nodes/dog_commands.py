@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from geometry_msgs.msg import Twist, TwistStamped
+from geometry_msgs.msg import Twist
 import numpy as np
 from rclpy.publisher import Publisher
 
@@ -14,6 +14,7 @@ from herding_ros.model.state import Array
 from . import messages
 from .herding_node import HerdingNode
 from .inbox import Inbox
+from .mismatches import twist_type
 from .publishing import ADJUSTABLE, is_heard, node_of
 from .refusals import Refusals, Refused
 from .settings import NodeSettings
@@ -37,25 +38,27 @@ class DogCommands:
         self._max_speed = max_speed
         self._timeout = timeout
         self._refused = refused
-        kind = TwistStamped if settings.stamped else Twist
-        self._inboxes = [
-            Inbox(node, kind, f'dog_{m}/cmd_vel', 10, qos_overriding_options=ADJUSTABLE)
-            for m in range(1, dogs + 1)
-        ]
+        self.inboxes = tuple(self._subscribe(f'dog_{m}/cmd_vel') for m in range(1, dogs + 1))
         self.forget()
+
+    def _subscribe(self, name: str) -> Inbox:
+        topic = self._node.resolve_topic_name(name)
+        others = self._node.get_publishers_info_by_topic(topic)
+        kind = twist_type(self._node, topic, self._settings, others)
+        return Inbox(self._node, kind, name, 10, qos_overriding_options=ADJUSTABLE)
 
     def forget(self) -> None:
         """Drop all commands that have been taken."""
-        self._velocities: list[Array | None] = [None] * len(self._inboxes)
-        self._received = [0] * len(self._inboxes)
+        self._velocities: list[Array | None] = [None] * len(self.inboxes)
+        self._received = [0] * len(self.inboxes)
 
     def arrivals(self, seconds: float) -> Iterator[None]:
         """Yield whenever the last dog gets commands, and when the time is over."""
-        return self._inboxes[-1].arrivals(seconds)
+        return self.inboxes[-1].arrivals(seconds)
 
     def take(self, now: int) -> None:
         """Take the commands that have come in by `now` [ns]."""
-        for m, inbox in enumerate(self._inboxes):
+        for m, inbox in enumerate(self.inboxes):
             for data, _ in inbox.take():
                 try:
                     self._velocities[m] = self._velocity_in(data, m + 1, now)
@@ -64,7 +67,7 @@ class DogCommands:
                     self._refused.add(f'dog_{m + 1}/cmd_vel', error)
 
     def _velocity_in(self, data: bytes, m: int, now: int) -> Array:
-        if not self._settings.stamped:
+        if self.inboxes[m - 1].subscription.msg_type is Twist:
             return messages.twist_in(data, self._max_speed)
         ns, velocity = messages.command_in(data, m, self._settings.frame, self._max_speed)
         if self._settings.lockstep:
@@ -82,7 +85,7 @@ class DogCommands:
     def complete(self) -> Array | None:
         """Return the velocities (M, 2) [m/s] once every dog has a command."""
         velocities = [u for u in self._velocities if u is not None]
-        return np.array(velocities) if len(velocities) == len(self._inboxes) else None
+        return np.array(velocities) if len(velocities) == len(self.inboxes) else None
 
     def recent(self, now: int) -> Array:
         """Return the velocities (M, 2) [m/s]; 0 where the last command timed out by `now` [ns]."""
@@ -104,13 +107,13 @@ class DogCommands:
                     inbox.subscription.topic_name
                 )
             )
-            for inbox in self._inboxes
+            for inbox in self.inboxes
         )
 
     def publishers(self) -> set[bytes]:
         """Return the identifiers of all that publish commands."""
         return {
             bytes(info.endpoint_gid)
-            for inbox in self._inboxes
+            for inbox in self.inboxes
             for info in self._node.get_publishers_info_by_topic(inbox.subscription.topic_name)
         }

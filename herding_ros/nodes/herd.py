@@ -7,7 +7,6 @@ import argparse
 from collections.abc import Callable
 from contextlib import suppress
 import itertools
-import math
 import os
 from pathlib import Path
 import sys
@@ -17,8 +16,9 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rich.console import Console
 
-from herding_ros.control.lead import lead_at
-from herding_ros.model.scenario import GOAL
+from herding_ros.control.lead import FASTEST, lead_at, SLOWEST
+from herding_ros.model.parameters import LARGE, TINY
+from herding_ros.model.scenario import GOAL, MOST_DOGS, MOST_SHEEP
 
 from .middleware import start_ros
 from .progress import ProgressLine, Watcher
@@ -31,22 +31,19 @@ _FOR_PARAMETERS = 30.0
 """Longest time after a run in which the recorder may receive the nodes' parameters [s]."""
 
 
-def _number(
-    kind: type[int] | type[float], low: float | None = None, above: float | None = None
-) -> Callable[[str], float]:
-    """Return a reader of finite numbers of at least `low`, or `above` a bound, for argparse."""
-    words = 'an integer' if kind is int else 'a finite number'
-    words += f' of at least {low}' if low is not None else ''
-    words += f' above {above}' if above is not None else ''
+def _number(kind: type[int] | type[float], low: float, high: float) -> Callable[[str], float]:
+    """Return a reader of numbers from `low` to `high` for argparse."""
 
     def read(text: str) -> float:
-        refusal = argparse.ArgumentTypeError(f'must be {words}, got {text}')
+        words = 'an integer' if kind is int else 'a number'
+        refusal = argparse.ArgumentTypeError(
+            f'must be {words} from {low:g} to {high:g}, got {text}'
+        )
         try:
             value = kind(text)
         except ValueError:
             raise refusal from None
-        too_low = (low is not None and value < low) or (above is not None and value <= above)
-        if too_low or not math.isfinite(value):
+        if not low <= value <= high:
             raise refusal
         return value
 
@@ -60,24 +57,36 @@ def _parser() -> argparse.ArgumentParser:
         'ends when the flock is home and together. Writes bag/ (rosbag2, mcap), '
         'trajectories.png, summary.json and the logs of the nodes. All traffic stays on this '
         'machine, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set.',
-        epilog='Exit code: 0 the flock arrived, 1 time ran out, 2 bad arguments, 3 a process '
+        epilog='Exit code: 0 the flock arrived, 1 it did not, 2 bad arguments, 3 a process '
         'died, 130 interrupted by Ctrl-C. Example: herd --dogs 3 --goal 1 1 --seed 4',
     )
     add = parser.add_argument
-    add('--sheep', type=_number(int, low=1), default=30, metavar='N', help='number of sheep (30)')
-    add('--dogs', type=_number(int, low=1), default=5, metavar='M', help='number of dogs (5)')
-    add('--sigma', type=_number(float, low=0), default=0.01, help='noise of the sheep (0.01)')
     add(
-        '--goal', type=_number(float), nargs=2, default=GOAL, metavar=('X', 'Y'),
+        '--sheep',
+        type=_number(int, 1, MOST_SHEEP),
+        default=30,
+        metavar='N',
+        help='number of sheep (30)',
+    )
+    add(
+        '--dogs',
+        type=_number(int, 1, MOST_DOGS),
+        default=5,
+        metavar='M',
+        help='number of dogs (5)',
+    )
+    add('--sigma', type=_number(float, 0.0, LARGE), default=0.01, help='noise of the sheep (0.01)')
+    add(
+        '--goal', type=_number(float, -LARGE, LARGE), nargs=2, default=GOAL, metavar=('X', 'Y'),
         help='destination in metres (0.5 0.5); the flock starts around the origin',
     )  # fmt: skip
-    add('--seed', type=_number(int, low=0), default=0, help='same seed, same run (0)')
+    add('--seed', type=_number(int, 0, 2**63 - 1), default=0, help='same seed, same run (0)')
     add(
-        '--time-limit', type=_number(float, above=0), default=400.0, metavar='S',
+        '--time-limit', type=_number(float, TINY, LARGE), default=400.0, metavar='S',
         help='simulated seconds to try (400)',
     )  # fmt: skip
     add(
-        '--real-time', type=_number(float, above=0), metavar='FACTOR',
+        '--real-time', type=_number(float, SLOWEST, FASTEST), metavar='FACTOR',
         help='run at FACTOR x real time instead of in lockstep, as fast as possible',
     )  # fmt: skip
     add(
@@ -155,6 +164,8 @@ def _watch(children: list[Child], watcher: Watcher, interrupted: Noted, console:
         return _INTERRUPTED
     if not watcher.parameters_recorded:
         console.print('the bag lacks the parameters of the nodes', style='red')
+    if not watcher.arrived:
+        console.print(watcher.outcome, markup=False, soft_wrap=True)
     return _ARRIVED if watcher.arrived else _TIMED_OUT
 
 

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 import time
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -92,7 +95,16 @@ class HerdingNode(Node):
             self._take(*(values for _, values in new))
         return result
 
-    # What comes from outside.
+    # What goes out and comes in.
+
+    def create_publisher(
+        self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, *args: Any, **options: Any
+    ) -> Publisher:
+        """Create a publisher as any node does, but keep the profile that is given.
+
+        rclpy would change it by the qos_overrides of this topic, and so for the next ones.
+        """
+        return super().create_publisher(msg_type, topic, copy(qos_profile), *args, **options)
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **options: Any

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 import time
 from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 
 MOST_AT_ONCE = 1_000
 """Messages taken in a row, so that a flooded topic does not keep out the others."""
@@ -32,8 +34,11 @@ class Inbox:
     ) -> None:
         self._node = node
         self._type = message_type
-        self.subscription = node.create_subscription(
-            message_type,
+        self.subscription = self._subscribe(topic, qos, **options)
+
+    def _subscribe(self, topic: str, qos: QoSProfile | int, **options: Any) -> Subscription:
+        return self._node.create_subscription(
+            self._type,
             topic,
             lambda message: None,
             qos,
@@ -41,6 +46,14 @@ class Inbox:
             raw=True,
             **options,
         )
+
+    def become_best_effort(self) -> None:
+        """Subscribe anew, to publishers that offer no more; what has not been taken is lost."""
+        old = self.subscription
+        qos = copy(old.qos_profile)
+        qos.reliability = ReliabilityPolicy.BEST_EFFORT
+        self.subscription = self._subscribe(old.topic_name, qos)
+        self._node.destroy_subscription(old)
 
     def take(self) -> Iterator[tuple[bytes, dict[str, int]]]:
         """Yield the messages that have come in, the oldest first, each with its time stamps."""

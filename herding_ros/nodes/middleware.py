@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import os
 from pathlib import Path
+import sys
+import tempfile
 from typing import Any
 
 import rclpy
@@ -35,8 +37,32 @@ def start_ros(args: list[str] | None = None, **options: Any) -> None:
         Other arguments of `rclpy.init`.
 
     """
+    find_log_folder()
     with _our_settings():
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO, **options)
+
+
+def find_log_folder() -> None:
+    """Let ROS write its logs into a temporary folder where ~/.ros/log cannot be written.
+
+    Otherwise rclpy would not start without a home, as in a container. ROS_LOG_DIR is respected.
+    """
+    if os.environ.get('ROS_LOG_DIR'):
+        return
+    home = os.environ.get('ROS_HOME') or os.path.join(os.environ.get('HOME', ''), '.ros')
+    folder = Path(home).expanduser() / 'log'
+    try:
+        if not folder.is_absolute():
+            raise FileNotFoundError
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except (OSError, RuntimeError):
+        os.environ['ROS_LOG_DIR'] = tempfile.mkdtemp(prefix='ros_log-')
+        print(
+            f'the logs of ROS go to {os.environ["ROS_LOG_DIR"]}, since {folder} cannot be '
+            'written; set ROS_LOG_DIR to choose',
+            file=sys.stderr,
+        )
 
 
 @contextmanager

@@ -51,6 +51,11 @@ class Observations:
             for m in range(dogs)
         ]
 
+    @property
+    def inboxes(self) -> tuple[Inbox, ...]:
+        """All subscriptions."""
+        return self._sheep, *self._odometry
+
     def arrivals(self, seconds: float) -> Iterator[None]:
         """Yield whenever sheep come, and when the time is over."""
         return self._sheep.arrivals(seconds)

@@ -67,8 +67,9 @@ class Lockstep:
         self._commands.take(self._run.now)
         u = self._commands.complete()
         if u is not None and not self._run.stands:
-            self._commands.forget()
             self._advance(u)
+            if not self._run.failed:  # else they are still needed, once a step can be taken
+                self._commands.forget()
 
     def _show_newcomers(self) -> None:
         """Repeat the state for a controller in place of a dead one, until one replies."""

@@ -54,6 +54,11 @@ class Watcher(Node):
         return self.sim.get('arrived') == 'True'
 
     @property
+    def outcome(self) -> str:
+        """How the run ended, in words; '' before."""
+        return self.sim.get('outcome', '')
+
+    @property
     def time(self) -> float:
         """Simulated time of the newest status [s]."""
         return float(self.sim['time_s'])

@@ -16,7 +16,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from .topic_qos import asks_more
-from .wire import serialized
+from .wire import serialized, type_name
 
 CLOCK = '/clock'
 """The topic that publishes the time of a simulation, unless the nodes are told another."""
@@ -72,9 +72,9 @@ def full_node_name(node: Node, name: str) -> str:
 def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool:
     """Whether publishers are matched with the node named `listener` and all other subscribers.
 
-    The name may be relative to the namespace of `node`. Subscribers that ask for more than a
-    publisher offers are never matched, and do not count. Nor does rclpy's own subscription to
-    /clock, which has a lower reliability, count as listening.
+    The name may be relative to the namespace of `node`. Subscribers of another type, or that ask
+    for more than a publisher offers, are never matched, and do not count. Nor does rclpy's own
+    subscription to /clock, which has a lower reliability, count as listening.
     """
     listener = full_node_name(node, listener)
     clock = node.resolve_topic_name(CLOCK)
@@ -82,7 +82,8 @@ def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool
         subscribers = [
             info
             for info in node.get_subscriptions_info_by_topic(publisher.topic_name)
-            if not asks_more(info.qos_profile, publisher.qos_profile)
+            if info.topic_type == type_name(publisher.msg_type)
+            and not asks_more(info.qos_profile, publisher.qos_profile)
         ]
         listeners = {
             node_of(info)

@@ -30,6 +30,7 @@ from . import command_line
 from .herding_node import HerdingNode
 from .log_clock import LogClock, rewritten
 from .middleware import start_ros
+from .mismatches import Mismatches
 from .parameter_query import ParameterQuery
 from .parameters import declare
 from .publishing import CLOCK, CountingPublisher, EVERY_MESSAGE
@@ -99,6 +100,8 @@ class Recorder(HerdingNode):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, '/diagnostics', EVERY_MESSAGE, publisher_class=CountingPublisher
         )
+        # What it subscribes to follows what others offer.
+        self._mismatches = Mismatches(self, subscriptions=False)
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/resume', self._on_resume)
 
@@ -278,6 +281,7 @@ class Recorder(HerdingNode):
 
     def _publish_diagnostics(self) -> None:
         self._count_lost()
+        mismatched = self._mismatches.report_values()
         values = {
             'bag': self.bag.path,
             'files': self.bag.file_count,
@@ -287,11 +291,12 @@ class Recorder(HerdingNode):
             'lost': self._lost,
             'parameters_of': ' '.join(sorted(self._parameters_of)),
             **self._refused.report_values(),
+            **mismatched,
         }
         if self._lacks_clock and not self._is_clock_missed:
             self._is_clock_missed = True
             self.get_logger().warning(f'{self._without_clock}: {_UNTIL_CLOCK}')
-        good = not (self._refused.counts or self._lacks_clock)
+        good = not (self._refused.counts or mismatched or self._lacks_clock)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if self._lost or self._failure else level,

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import dataclasses
 
+from herding_ros.control.lead import FASTEST, SLOWEST
 from herding_ros.control.parameters import CONTROLS, Timing
 from herding_ros.model.crowd import CROWDS
 from herding_ros.model.parameters import Parameters, quantity, TINY
-from herding_ros.model.scenario import GOAL
+from herding_ros.model.scenario import GOAL, MOST_DOGS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,7 +23,11 @@ class NodeSettings(Parameters):
         'the sim waits at each control period for the commands that reply to its state: '
         'the controller stamps them as the state is stamped',
     )
-    stamped: bool = quantity(True, 'commands are TwistStamped; false: Twist')
+    stamped: bool = quantity(
+        True,
+        'commands are TwistStamped; false: Twist. Where all others on a topic take the other type '
+        'at the start, it is that, but for lockstep',
+    )
     wait_for: str = quantity(
         '',
         'node (a recorder) to wait for until it is subscribed: its name in the same namespace, '
@@ -41,7 +46,11 @@ class SimSettings(NodeSettings):
     """How the sim behaves as a ROS node."""
 
     real_time_factor: float = quantity(
-        1.0, 'simulated seconds per second when not in lockstep', low=1e-3, high=1e3, live=True
+        1.0,
+        'simulated seconds per second when not in lockstep',
+        low=SLOWEST,
+        high=FASTEST,
+        live=True,
     )
     command_timeout: float = quantity(
         0.5, 'a dog stops when its last command is older than this', 's', low=TINY
@@ -55,7 +64,7 @@ class SimSettings(NodeSettings):
 class ControllerSettings(NodeSettings, Timing):
     """How the controller behaves as a ROS node."""
 
-    dogs: int = quantity(5, 'number of dogs', low=1)
+    dogs: int = quantity(5, 'number of dogs', low=1, high=MOST_DOGS)
     most_sheep: int = quantity(
         100_000, 'a message with more sheep than this is refused', low=1, high=1_000_000
     )

@@ -28,6 +28,7 @@ from . import command_line, messages
 from .dog_commands import DogCommands
 from .duplicates import ANOTHER_CLOCK, sole_publisher
 from .herding_node import HerdingNode
+from .mismatches import Mismatches
 from .pacing import Lockstep, Pace, RealTime
 from .parameters import declare, declare_crowd
 from .publishing import (
@@ -46,6 +47,9 @@ _PERIODS_PER_MARKER = 5
 
 _DIAGNOSTICS_PERIOD = 0.5
 """Wall time between two messages on /diagnostics [s]."""
+
+_TIME_TO_BE_ASKED = 2.0
+"""Wall time after a run in which a recorder may still ask for parameters [s]."""
 
 
 class Sim(HerdingNode):
@@ -67,6 +71,9 @@ class Sim(HerdingNode):
         self._commands = DogCommands(
             self, settings, world.dogs, world.max_speed, settings.command_timeout, self._refused
         )
+        self._mismatches = Mismatches(self)
+        if not settings.lockstep:
+            self._mismatches.follow(self._commands.inboxes)
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, 1, raw=True)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(SetBool, '~/pause', self._on_pause)
@@ -124,12 +131,13 @@ class Sim(HerdingNode):
         self._run.change_crowd(crowd)
         if isinstance(self._pace, RealTime):
             self._pace.set_factor(settings.real_time_factor)
+        self._notice_change()
 
     def _on_goal(self, data: bytes) -> None:
         try:
             goal = messages.goal_in(data, self._settings.frame)
         except ValueError as error:
-            self._refused.add('goal_pose', error)
+            self._refused.add_request('goal_pose', error)
             return
         self._run.move_goal(goal)
         self._notice_change()
@@ -158,12 +166,21 @@ class Sim(HerdingNode):
     def _advance(self, u: Array) -> None:
         self._run.advance(u)
         if self._run.finished:
-            self.get_logger().info(self._run.outcome)
-        self._publish_state()
+            log = self.get_logger()
+            if self._run.failed:
+                log.error(f'{self._run.outcome}; change crowd.* or call ~/reset')
+            else:
+                log.info(self._run.outcome)
+        if not self._run.failed:
+            self._publish_state()
         if self._run.finished:
             self._publish_diagnostics()
             if self._settings.end_when_finished:
-                self.ended.set_result(None)
+                self.create_timer(_TIME_TO_BE_ASKED, self._end, clock=self._wall)
+
+    def _end(self) -> None:
+        if self._run.finished:  # still: a moved goal continues the run
+            self.ended.set_result(None)
 
     def _publish_state(self) -> None:
         simulation, frame = self._run.simulation, self._settings.frame
@@ -197,11 +214,14 @@ class Sim(HerdingNode):
             'spread_m': float(spread(simulation.state.x)),
             'arrived': simulation.arrived,
             'finished': self._run.finished,
+            'outcome': self._run.outcome,
             'periods_skipped': skipped,
             **self._refused.report_values(),
+            **self._mismatches.report_values(),
         }
-        good = not (self._refused.counts or skipped)
+        good = not (self._refused.counts or self._mismatches.report_values() or skipped)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
+        level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(
             messages.diagnostics(
                 self.status_name('herd'), simulation.nanoseconds, level, self._doing, values

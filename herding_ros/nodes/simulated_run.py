@@ -14,7 +14,9 @@ class SimulatedRun:
     """A herd that moves on by commands, unless it is paused or the run is finished.
 
     It finishes when the flock has arrived, if `stop_on_arrival`, and after `time_limit` [s] unless
-    that is 0. Moving the goal continues a finished run.
+    that is 0. Moving the goal continues a finished run. It also finishes, where it is, when a
+    step cannot be taken: when parameters take the herd beyond all numbers, or a function of the
+    user's fails; then another crowd continues it, too.
     """
 
     def __init__(
@@ -35,6 +37,8 @@ class SimulatedRun:
         self.simulation.goal = self._goal
         self.outcome = ''
         """How the run ended; '' before."""
+        self.failed = False
+        """Whether it ended because a step could not be taken."""
 
     @property
     def goal(self) -> Array:
@@ -44,11 +48,13 @@ class SimulatedRun:
     def move_goal(self, goal: Array) -> None:
         """Judge by another goal (2,) [m] from now on."""
         self._goal = self.simulation.goal = goal
-        self.outcome = ''
+        self.outcome, self.failed = '', False
 
     def change_crowd(self, crowd: Crowd) -> None:
         """Move like another crowd from the next step on."""
         self._crowd = self.simulation.crowd = crowd
+        if self.failed:
+            self.outcome, self.failed = '', False
 
     @property
     def now(self) -> int:
@@ -67,7 +73,12 @@ class SimulatedRun:
 
     def advance(self, u: Array) -> None:
         """Move on by one control period under the dogs' velocities u (M, 2) [m/s]."""
-        self.simulation.advance(np.asarray(u))
+        try:
+            self.simulation.advance(np.asarray(u))
+        except Exception as error:
+            self.failed = True
+            self.outcome = f'the herd stands, since a step could not be taken: {error}'
+            return
         seconds, limit = self.now * 1e-9, self._time_limit
         if self._stop_on_arrival and self.simulation.arrived:
             self.outcome = f'the flock arrived after {seconds:.1f} s'

@@ -47,13 +47,23 @@ _FORMATS = {
 
 
 def serialized(message: Any) -> bytes:
-    """Return the bytes of a message, with zeros where numbers are aligned.
+    """Return the bytes of a message, with zeros where numbers are aligned and at its end.
 
-    rclpy's own serialisation leaves there what was in memory, so that equal messages differ.
+    rclpy leaves what was in memory between the numbers, and Fast DDS, which sends a multiple of
+    four bytes, at the end; so equal messages would differ.
     """
+    return bytes(_filled_up(_appended(message)))
+
+
+def _appended(message: Any) -> bytearray:
     data = bytearray(_ENCODING)
     _append(data, message, '')
-    return bytes(data)
+    return data
+
+
+def _filled_up(data: bytearray) -> bytearray:
+    _align(data, 4)
+    return data
 
 
 def _append(data: bytearray, value: Any, kind: str) -> None:
@@ -79,7 +89,8 @@ def _append(data: bytearray, value: Any, kind: str) -> None:
             for each in value:
                 _append(data, each, kind)
     else:
-        for name, kind in _fields(type(value)):
+        kind_of_value: Any = type(value)
+        for name, kind in _fields(kind_of_value):
             _append(data, getattr(value, name), kind)
 
 
@@ -93,6 +104,11 @@ def _fields(message_type: Any) -> tuple[tuple[str, str], ...]:
     return tuple(message_type.get_fields_and_field_types().items())
 
 
+def type_name(message_type: Any) -> str:
+    """Return the full name of a type of messages, such as 'std_msgs/msg/Header'."""
+    return f'{message_type.__module__.split(".")[0]}/msg/{message_type.__name__}'
+
+
 class Template:
     """A message that is sent again and again, with another stamp and other numbers.
 
@@ -100,8 +116,9 @@ class Template:
     """
 
     def __init__(self, message: Any, numbers: DTypeLike) -> None:
-        self._data = bytearray(serialized(message))
-        offset = len(self._data) - np.dtype(numbers).itemsize
+        data = _appended(message)
+        offset = len(data) - np.dtype(numbers).itemsize
+        self._data = _filled_up(data)
         self.numbers: Any = np.ndarray((), numbers, self._data, offset)
 
     def stamped(self, ns: int) -> bytes:

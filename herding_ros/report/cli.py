@@ -12,7 +12,9 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from herding_ros.bag.notes import printable
 from herding_ros.bag.reader import read_run
 from herding_ros.bag.recorded_run import RecordedRun
 
@@ -21,14 +23,17 @@ from .summary import summarise
 
 
 def write_report(
-    bag: str | os.PathLike[str], out: str | os.PathLike[str], console: Console
+    bag: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    console: Console,
+    namespace: str | None = None,
 ) -> dict[str, Any]:
     """Write trajectories.png and summary.json of a bag into the folder out, and print them.
 
-    Returns the summary. Raises what `read_run` raises, and OSError when out cannot be
-    written.
+    `namespace` is needed where the bag has sheep in several. Returns the summary. Raises what
+    `read_run` raises, and OSError when out cannot be written.
     """
-    run = read_run(bag)
+    run = read_run(bag, namespace)
     summary = summarise(run)
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
@@ -37,6 +42,8 @@ def write_report(
     numbers.write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
     console.print(_table(run))
     console.print(_in_words(summary), highlight=False)
+    for note in run.notes:
+        console.print(f'note: {note}', highlight=False, markup=False, soft_wrap=True)
     console.print(f'{picture}\n{numbers}', highlight=False, soft_wrap=True)
     return summary
 
@@ -48,24 +55,32 @@ def _table(run: RecordedRun) -> Table:
     table.add_column('messages', justify='right')
     table.add_column('rate [Hz]', justify='right')
     for topic in run.topics:
-        table.add_row(topic.name, topic.type, str(topic.count), f'{topic.rate:.1f}')
+        named = (Text(printable(name)) for name in (topic.name, topic.type))
+        table.add_row(*named, str(topic.count), f'{topic.rate:.1f}')
     return table
 
 
 def _in_words(summary: dict[str, Any]) -> str:
-    x, y = summary['goal']
-    result = 'arrived after' if summary['arrived'] else 'did not arrive within'
-    lines = [
-        f'{summary["sheep"]} sheep, {summary["dogs"]} dogs, to ({x:g}, {y:g}): '
-        f'{result} {summary["time_s"]:.1f} s',
-        f'distance at the end {summary["final_distance_m"]:.3f} m, spread at most '
-        f'{summary["max_spread_m"]:.3f} m (start {summary["initial_spread_m"]:.3f} m)',
-    ]
+    herd = f'{summary["sheep"]} sheep, {summary["dogs"]} dogs'
+    spread = (
+        f'spread at most {summary["max_spread_m"]:.3f} m '
+        f'(start {summary["initial_spread_m"]:.3f} m)'
+    )
+    if summary['goal'] is None:
+        lines = [f'{herd}, {summary["time_s"]:.1f} s, no known destination', spread]
+    else:
+        x, y = summary['goal']
+        result = 'arrived after' if summary['arrived'] else 'did not arrive within'
+        lines = [
+            f'{herd}, to ({x:g}, {y:g}): {result} {summary["time_s"]:.1f} s',
+            f'distance at the end {summary["final_distance_m"]:.3f} m, {spread}',
+        ]
     if summary['solve_ms_median'] is not None:
         lines.append(
             f'{summary["replans"]} replans, solved in {summary["solve_ms_median"]:.0f} ms '
             f'(median), {summary["solve_ms_max"]:.0f} ms (longest)'
         )
+    lines.append(f'largest gap between two states {summary["largest_gap_s"]:.3g} s')
     if summary['real_time_factor'] is not None:
         lines.append(
             f'{summary["messages_recorded"]} messages, {summary["wall_s"]:.1f} s of wall time, '
@@ -86,12 +101,16 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument(
         '--out', type=Path, metavar='DIR', help='folder to write to (default: the one of BAG)'
     )
+    parser.add_argument(
+        '--namespace', metavar='NS',
+        help='namespace of sim and controller; needed if the bag has sheep in several',
+    )  # fmt: skip
     options = parser.parse_args(args)
     out = options.out or options.bag.absolute().parent
     try:
-        write_report(options.bag, out, Console())
+        write_report(options.bag, out, Console(), options.namespace)
     except (OSError, ValueError) as error:
-        print(f'report: {error}', file=sys.stderr)
+        print(f'report: {printable(str(error))}', file=sys.stderr)
         return 2
     return 0
 

@@ -8,11 +8,13 @@ import os
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+import numpy as np
 
 from herding_ros.bag.recorded_run import Array, RecordedRun
 from herding_ros.model.flock import ARRIVAL_DISTANCE, centre, distance, spread, TOGETHER
 
 from .style import BLUE, draw_goal, draw_herd, draw_paths, GREY, save
+from .summary import initial_spread, over_time
 
 
 def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
@@ -22,11 +24,10 @@ def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
     _draw_map(figure.add_subplot(grid[:, 0]), run)
     solves = figure.add_subplot(grid[2, 1])
     _draw_solves(solves, run)
-    spreads = spread(run.x)
     for row, (label, values, limit) in enumerate(
         (
-            ('distance to\ndestination [m]', distance(run.x, run.goal), ARRIVAL_DISTANCE),
-            ('spread of\nthe flock [m]', spreads, TOGETHER * float(spreads[0])),
+            ('distance to\ndestination [m]', _distances(run), ARRIVAL_DISTANCE),
+            ('spread of\nthe flock [m]', over_time(spread, run), TOGETHER * initial_spread(run)),
         )
     ):
         axes = figure.add_subplot(grid[row, 1], sharex=solves)
@@ -36,13 +37,22 @@ def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
     save(figure, path, dpi=160)
 
 
+def _distances(run: RecordedRun) -> Array:
+    """Return the distance of the flock from the destination (T,) [m], NaN if there is none."""
+    goal = run.goal
+    if goal is None:
+        return np.full(len(run.times), np.nan)
+    return over_time(lambda x: distance(x, goal), run)
+
+
 def _draw_map(axes: Axes, run: RecordedRun) -> None:
-    sheep, dogs = run.x.shape[1], run.d.shape[1]
-    herd = (f'{sheep} sheep' if sheep > 1 else 'sheep', f'{dogs} dogs' if dogs > 1 else 'dog')
-    draw_paths(axes, run.d, centre(run.x), 'centre of the flock')
+    draw_paths(axes, run.d, over_time(centre, run), 'centre of the flock')
     for k, alpha, when in ((0, 0.3, 'start'), (-1, 1.0, 'end')):
-        labels = (f'{herd[0]}, {when}', f'{herd[1]}, {when}')
-        draw_herd(axes, run.x[k], run.d[k], alpha, 4.5, labels)
+        x, d = run.x[k][run.seen[k]], run.d[k][np.isfinite(run.d[k, :, 0])]
+        sheep = f'{len(x)} sheep' if len(x) > 1 else 'sheep'
+        dogs = f'{len(d)} dogs' if len(d) > 1 else 'dog'
+        labels = (f'{sheep}, {when}', f'{dogs}, {when}' if len(d) else None)
+        draw_herd(axes, x, d, alpha, 4.5, labels)
     draw_goal(axes, run.goal, 11.0, 'destination')
     axes.margins(0.06)
     axes.set(xlabel='x [m]', ylabel='y [m]')
@@ -56,7 +66,7 @@ def _draw_with_limit(axes: Axes, run: RecordedRun, values: Array, limit: float) 
         f'{limit:.2g} m', (0.0, limit), xycoords=('axes fraction', 'data'), xytext=(3, 2),
         textcoords='offset points', va='bottom', fontsize=8, color=GREY,
     )  # fmt: skip
-    axes.set_ylim(0.0, 1.2 * max(float(values.max()), limit) or 1.0)
+    axes.set_ylim(0.0, 1.2 * float(np.nanmax([*values, limit])) or 1.0)
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 

@@ -79,6 +79,7 @@ def draw_herd(
 
 
 def draw_goal(axes: Axes, goal: Any, size: float = 9.0, label: str | None = None) -> None:
-    """Draw a cross at the goal (2,) [m], and let both axes have the same scale."""
-    axes.plot(*goal, 'x', color='black', markersize=size, markeredgewidth=2, label=label)
+    """Draw a cross at the goal (2,) [m], if there is one; both axes have the same scale."""
+    if goal is not None:
+        axes.plot(*goal, 'x', color='black', markersize=size, markeredgewidth=2, label=label)
     axes.set_aspect('equal', adjustable='datalim')

@@ -3,38 +3,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from herding_ros.bag.recorded_run import RecordedRun
+from herding_ros.bag.recorded_run import Array, RecordedRun
 from herding_ros.model.flock import arrived, distance, spread
+
+
+def over_time(observable: Callable[[Array], Array], run: RecordedRun) -> Array:
+    """Return an observable (T, ...) of the sheep that were seen in each state."""
+    if run.seen.all():
+        return observable(run.x)
+    return np.array([observable(x[seen]) for x, seen in zip(run.x, run.seen, strict=True)])
+
+
+def initial_spread(run: RecordedRun) -> float:
+    """Return the spread of the flock [m] when first all, or most, of it was seen."""
+    k = int(np.argmax(run.seen.sum(axis=1)))
+    return float(spread(run.x[k, run.seen[k]]))
 
 
 def summarise(run: RecordedRun) -> dict[str, Any]:
     """Return the run's result as plain values for JSON; unknown values are None.
 
-    time_s is when the flock arrived, at the goal and together, else the length of the run.
+    time_s is when the flock arrived, at the goal and together, else the length of the run. It is
+    judged by the sheep that are seen, of which `sheep` is the largest number. replans is how many
+    were made, whether or not they are in the bag. notes says what the bag lacks.
     """
-    spreads = spread(run.x)
-    home = [k for k, x in enumerate(run.x) if arrived(x, run.goal, float(spreads[0]))]
+    goal = run.goal
+    at_first = initial_spread(run)
+    flocks = [x[seen] for x, seen in zip(run.x, run.seen, strict=True)]
+    home = [k for k, x in enumerate(flocks) if goal is not None and arrived(x, goal, at_first)]
     solve_ms = [replan.solve_ms for replan in run.replans if np.isfinite(replan.solve_ms)]
+    seed = run.parameters.get(f'{run.namespace}/sim', {}).get('seed')
     return {
-        'arrived': bool(home),
+        'arrived': bool(home) if goal is not None else None,
         'time_s': round(float(run.times[home[0] if home else -1]), 9),
-        'final_distance_m': float(distance(run.x[-1], run.goal)),
-        'max_spread_m': float(spreads.max()),
-        'initial_spread_m': float(spreads[0]),
-        'replans': len(run.replans),
+        'final_distance_m': float(distance(flocks[-1], goal)) if goal is not None else None,
+        'max_spread_m': float(over_time(spread, run).max()),
+        'initial_spread_m': at_first,
+        'replans': run.replans_made,
         'solve_ms_median': float(np.median(solve_ms)) if solve_ms else None,
         'solve_ms_max': max(solve_ms, default=None),
         'messages_recorded': sum(topic.count for topic in run.topics),
         'messages_lost': run.messages_lost,
+        'largest_gap_s': run.largest_gap_s,
         'wall_s': run.wall_s,
         'real_time_factor': float(run.times[-1]) / run.wall_s if run.wall_s > 0.0 else None,
-        'seed': run.parameters.get('/sim', {}).get('seed'),
-        'sheep': run.x.shape[1],
+        'seed': seed if isinstance(seed, int) else None,
+        'sheep': max(map(len, flocks)),
         'dogs': run.d.shape[1],
-        'goal': run.goal.tolist(),
+        'goal': goal.tolist() if goal is not None else None,
+        'namespace': run.namespace or '/',
         'version': run.version,
+        'notes': list(run.notes),
     }

@@ -106,14 +106,12 @@ def _draw_success(runs: _Runs, herds: list[int], figures: Path) -> None:
             there = [sigma for sigma in _SIGMAS if len(runs[name, dogs, sigma])]
             offset = 0.0004 * (k - 2)
             fractions = [success(runs[name, dogs, sigma]) for sigma in there]
-            values = np.array([each.value for each in fractions])
-            bars = [
-                values - [each.low for each in fractions],
-                [each.high for each in fractions] - values,
-            ]
+            values = [each.value for each in fractions]
+            below = [each.value - each.low for each in fractions]
+            above = [each.high - each.value for each in fractions]
             left.errorbar(
-                np.add(there, offset), values, bars, color=colour, marker='o', markersize=4,
-                capsize=2, linewidth=1.0, label=name,
+                np.add(there, offset), values, [below, above], color=colour, marker='o',
+                markersize=4, capsize=2, linewidth=1.0, label=name,
             )  # fmt: skip
             for sigma in there:
                 arrived = times_of_arrivals(runs[name, dogs, sigma])

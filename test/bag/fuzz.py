@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damages a bag in many ways, and looks how `recover` takes each.
+"""Damages a bag in many ways, and looks how `recover` and the reader of reports take each.
 
 usage: fuzz.py BAG WORK FIRST COUNT
        fuzz.py cost BAG...
@@ -28,6 +28,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from herding_ros.bag.metadata import FILE_NAME
+from herding_ros.bag.reader import read_run
 from herding_ros.bag.recovery import recover
 
 SECONDS = 1.0
@@ -180,14 +181,16 @@ def attempt(call: Callable[[Path], Any], folder: Path, most: float) -> tuple[Any
 def cost(folder: Path) -> tuple[float, Any, list[str]]:
     """Return what each call may take [s], what `recover` found, and what was wrong."""
     most = SECONDS * (1.0 + sum(file.stat().st_size for file in folder.iterdir()) * 1e-6)
-    recovery, wrong = attempt(recover, folder, most)
-    return most, recovery, [wrong] if wrong else []
+    _, wrong = attempt(read_run, folder, most)
+    recovery, also_wrong = attempt(recover, folder, most)
+    return most, recovery, [each for each in (wrong, also_wrong) if each]
 
 
 def check(folder: Path) -> list[str]:
     """Return what is wrong with what the programs make of a bag."""
     most, recovery, found = cost(folder)
     if recovery:
+        found.append(attempt(read_run, folder, most)[1])
         count = 0
         for file in recovery.files:
             with file.path.open('rb') as stream:

@@ -57,7 +57,7 @@ def run_fuzz(*arguments: object) -> None:
 
 
 def test_no_damage_does_harm(bag: Path, tmp_path: Path) -> None:
-    run_fuzz(bag, tmp_path / 'work', 0, 150)
+    run_fuzz(bag, tmp_path / 'work', 0, 300)
 
 
 @pytest.mark.slow

@@ -84,6 +84,6 @@ def test_paper_is_the_papers_own_setting() -> None:
 
 
 def test_commands_are_as_long_for_the_controller_as_for_the_world() -> None:
-    check_lockstep(Horizon(), World(dt=0.02, substeps=5).control_period)
+    check_lockstep(Horizon().control_period, World(dt=0.02, substeps=5).control_period)
     with pytest.raises(OutOfStepError, match=r'must be .* of the sim .* 0\.05 s, got 0\.1 s'):
-        check_lockstep(Horizon(), World(dt=0.01, substeps=5).control_period)
+        check_lockstep(Horizon().control_period, World(dt=0.01, substeps=5).control_period)

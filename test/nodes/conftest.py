@@ -219,9 +219,9 @@ class Peer:
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=0.02)
 
-    def talk_to(self, kind: Any, topic: str, listeners: int = 1) -> Any:
+    def talk_to(self, kind: Any, topic: str, listeners: int = 1, qos: Any = 1000) -> Any:
         """Return a publisher that is heard."""
-        publisher = self.node.create_publisher(kind, topic, 1000)
+        publisher = self.node.create_publisher(kind, topic, qos)
         self.spin_until(lambda: publisher.get_subscription_count() >= listeners)
         return publisher
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from trajectory_msgs.msg import MultiDOFJointTrajectory
@@ -31,6 +31,7 @@ from herding_ros.model.state import HerdState
 from herding_ros.nodes import messages
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 QUICK = {'horizon__length': 4.0, 'horizon__accepted': 2.0, 'mapping__paths': 20}
 CONTROL = Control(horizon=Horizon(length=4.0, accepted=2.0), mapping=Mapping(paths=20))
 
@@ -43,7 +44,9 @@ def velocity(command: TwistStamped | Twist) -> np.ndarray:
 class Pasture:
     """Publishes a herd that stands still, and listens to the commands for its dogs."""
 
-    def __init__(self, peer: Any, herd: HerdState, kind: Any = TwistStamped) -> None:
+    def __init__(
+        self, peer: Any, herd: HerdState, kind: Any = TwistStamped, qos: Any = 1000
+    ) -> None:
         self.peer = peer
         self.herd = herd
         self.heading = 0.0
@@ -51,8 +54,8 @@ class Pasture:
         self.commands = [peer.listen(kind, f'dog_{m}/cmd_vel') for m in dogs]
         self.plans = peer.listen(MultiDOFJointTrajectory, 'plan', LATCHED)
         self.diagnostics = peer.listen(DiagnosticArray, '/diagnostics')
-        self.sheep = peer.talk_to(PointCloud2, 'sheep')
-        self.odometry = [peer.talk_to(Odometry, f'dog_{m}/odom') for m in dogs]
+        self.sheep = peer.talk_to(PointCloud2, 'sheep', qos=qos)
+        self.odometry = [peer.talk_to(Odometry, f'dog_{m}/odom', qos=qos) for m in dogs]
 
     def said(self, name: str) -> dict[str, str]:
         """The values of the newest status of this name."""
@@ -126,11 +129,20 @@ def test_moved_goal_and_dynamic_parameters_reach_the_planner(
     plans = [planner.solve(herd, 0.0).plan]
     pasture.show(0)
     pasture.wait_for_commands(1)
+    in_force = peer.listen(PoseStamped, 'herd/goal', LATCHED)  # late
+    peer.spin_until(lambda: in_force)
     goal = PoseStamped()
+    goal.header.frame_id = 'odom'
+    goal.pose.position.x = 7.0
+    goals.publish(goal)
+    peer.spin_until(lambda: "goal (7, 0) must be in frame 'map', got 'odom'" in process.log)
     goal.header.frame_id = 'map'
     goal.pose.position.x = -1.0
     goals.publish(goal)
     peer.spin_until(lambda: 'destination is now (-1, 0)' in process.log)
+    peer.spin_until(lambda: len(in_force) == 2)
+    assert [message.pose.position.x for message in in_force] == [1.0, -1.0]
+    assert {message.header.frame_id for message in in_force} == {'map'}
     changes = {
         'weights.centre': 5.0, 'weights.control': 0.02, 'crowd.noise': 0.03, 'max_speed': 0.04,
         'horizon.length': 3.0, 'horizon.accepted': 1.5,
@@ -183,7 +195,7 @@ def test_bad_observations_get_no_reply(
     peer.spin_until(lambda: pasture.said('controller: state').get('refused sheep: malformed'))
     state = pasture.said('controller: state')
     assert expected == {k[15:]: v for k, v in state.items() if k.startswith('refused sheep: ')}
-    assert process.log.count('refused') == len(expected)
+    assert process.log.count('refused') == 4  # one line for each cause: of two wrong frames, two
 
 
 def test_by_its_own_clock_a_plan_is_announced_before_it_is_played_and_solves_hold_up_no_command(
@@ -219,8 +231,10 @@ def test_by_its_own_clock_a_plan_is_announced_before_it_is_played_and_solves_hol
 def test_stale_stamps_move_no_dog_and_silence_is_noticed(
     start: Callable[..., Any], peer: Any, herd: HerdState
 ) -> None:
-    process = start('controller', dogs=2, lead=0.3, state_timeout=1.0, stamped=False, **QUICK)
-    pasture = Pasture(peer, herd, Twist)
+    """The robots take Twist, and publish best effort; no parameter says so."""
+    robots = [peer.listen(Twist, f'dog_{m}/cmd_vel') for m in (1, 2)]
+    process = start('controller', dogs=2, lead=0.3, state_timeout=1.0, **QUICK)
+    pasture = Pasture(peer, herd, Twist, BEST_EFFORT)
     for shift in (-3_000_000_000, 3_000_000_000):
         for _ in range(10):
             pasture.show(pasture.now() + shift)
@@ -241,6 +255,8 @@ def test_stale_stamps_move_no_dog_and_silence_is_noticed(
     peer.spin_until(lambda: pasture.plans[-1].joint_names == ['dog_1'])
     peer.spin_until(lambda: pasture.said('controller: state')['dogs_silent'] == 'dog_2')
     assert 'no odometry from dog_2' in process.log
+    assert all(robots)
+    assert 'not matched' not in ' '.join(pasture.said('controller: state'))
     timer.cancel()
     peer.spin_until(lambda: not velocity_of(pasture, 0).any(), limit=10.0)
 

@@ -27,6 +27,7 @@ from herding_ros.model.flock import arrived, spread
 from herding_ros.model.simulation import World
 from herding_ros.nodes import herd
 from herding_ros.nodes.signals import ENDING, note_signals
+from herding_ros.nodes.sim import SimSettings
 
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
 LARGE = 1600
@@ -53,12 +54,13 @@ def raw(bag: Path) -> dict[str, list[bytes]]:
     out: dict[str, list[bytes]] = {}
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         for connection, _, data in reader.messages():
-            out.setdefault(connection.topic, []).append(bytes(data))
             if connection.topic not in OF_RCLPY:
+                out.setdefault(connection.topic, []).append(bytes(data))
                 message = reader.deserialize(data, connection.msgtype)
-                again = reader.typestore.serialize_cdr(message, connection.msgtype)
+                again = bytes(reader.typestore.serialize_cdr(message, connection.msgtype))
+                again += bytes(-len(again) % 4)
                 assert again == data, f'{connection.topic} has memory between its fields'
-    return {topic: found for topic, found in out.items() if topic not in OF_RCLPY}
+    return out
 
 
 def positions(cloud: Any) -> np.ndarray:
@@ -189,6 +191,9 @@ def test_real_time_arrives_too(start: Callable[..., Any], tmp_path: Path) -> Non
         ['--seed', '-1'],
         ['--time-limit', '0'],
         ['--real-time', '-3'],
+        ['--real-time', '5000'],
+        ['--dogs', '1001'],
+        ['--sigma', '1e150'],
         ['--nonsense'],
     ],
 )
@@ -199,6 +204,25 @@ def test_bad_arguments_are_refused(
         herd.main([*arguments, '--out', str(tmp_path / 'out')])
     assert arguments[0] in capsys.readouterr().err
     assert not (tmp_path / 'out').exists()
+
+
+def test_herd_takes_just_what_its_nodes_take() -> None:
+    """So what it lets pass starts all of them."""
+    fields = {
+        entry.name: entry.field.metadata
+        for each in (World(), SimSettings(), Crowd())
+        for entry in each.walk()
+    }
+    for option, name in {
+        'sheep': 'sheep', 'dogs': 'dogs', 'sigma': 'noise', 'goal': 'goal',
+        'time-limit': 'time_limit', 'real-time': 'real_time_factor',
+    }.items():  # fmt: skip
+        high = fields[name]['high']
+        given = [f'--{option}', str(high), *([str(-high)] if option == 'goal' else [])]
+        assert herd._parser().parse_args(given)
+        given[1] = str(high + 1)
+        with pytest.raises(SystemExit, match='2'):
+            herd._parser().parse_args(given)
 
 
 def test_existing_bag_is_not_touched(tmp_path: Path) -> None:

@@ -299,11 +299,14 @@ class Storm:
             self.beat()
 
     def check_log(self) -> None:
-        """Every kind was said once, and nothing else was said about all those messages."""
+        """Every kind was said, some by cause, and little was said about all those messages."""
         lines = [line for line in self.process.log.splitlines() if 'refused a message' in line]
         said = Counter(line.split('refused a message (')[1].split('): ')[0] for line in lines)
-        assert said == Counter(dict.fromkeys(self.counted(), 1))
-        assert len(self.process.log) < 10_000, self.process.log[-3000:]
+        assert set(said) == set(self.counted())
+        by_cause = {key for key in said if key.endswith(('wrong frame', 'wrong fields'))}
+        by_cause |= {key for key in said if key.startswith('goal_pose')}
+        assert all(said[key] == 1 for key in set(said) - by_cause)
+        assert len(self.process.log) < 20_000, self.process.log[-3000:]
 
     def memory(self) -> float:
         """Bytes of main memory that the process takes."""

@@ -418,7 +418,7 @@ def test_nodes_that_come_and_go_leave_no_clients(
     domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    rclpy.init(domain_id=domain)
+    start_ros(domain_id=domain)
     recorder = Recorder()
     recorder.create_bag()
 

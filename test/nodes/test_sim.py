@@ -9,8 +9,8 @@ from pathlib import Path
 import signal
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TwistStamped
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
@@ -78,10 +78,13 @@ class Shepherd:
         self.peer.spin_until(lambda: messages.nanoseconds(mine[-1].header.stamp) >= ns)
         return place(mine[-1])
 
-    def refusals(self) -> dict[str, int]:
+    def values(self) -> dict[str, str]:
+        """Those of the newest status."""
         status = self.diagnostics[-1].status[0] if self.diagnostics else None
-        pairs = {pair.key: pair.value for pair in status.values} if status else {}
-        return {k[8:]: int(v) for k, v in pairs.items() if k.startswith('refused ')}
+        return {pair.key: pair.value for pair in status.values} if status else {}
+
+    def refusals(self) -> dict[str, int]:
+        return {k[8:]: int(v) for k, v in self.values().items() if k.startswith('refused ')}
 
 
 SMALL = {'sheep': 3, 'dogs': 1, 'seed': 5}
@@ -114,10 +117,17 @@ def test_subscriber_that_asks_too_much_holds_up_nobody(
 ) -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     heard = peer.listen(PointCloud2, 'sheep', latched)
-    start('sim', lockstep=True, **SMALL)
+    other = peer.listen(Twist, 'markers')
+    process = start('sim', lockstep=True, **SMALL)
     shepherd = Shepherd(peer)
     assert shepherd.answer([0.01, 0.0]) == 100_000_000
     assert not heard
+    assert not other
+    said = {'not matched: /sheep to /peer', 'not matched: /markers to /peer'}
+    peer.spin_until(lambda: said <= shepherd.values().keys())
+    assert shepherd.diagnostics[-1].status[0].level == DiagnosticStatus.WARN
+    for line in said:
+        assert line.removeprefix('not matched: ') in process.log
 
 
 def test_listening_to_the_time_is_not_recording_it(start: Callable[..., Any], peer: Any) -> None:

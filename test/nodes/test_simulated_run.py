@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import World
 from herding_ros.nodes.simulated_run import SimulatedRun
 
@@ -56,6 +57,38 @@ def test_a_finished_run_goes_on_when_the_goal_is_moved() -> None:
     assert not run.stands
     run.paused = True
     assert run.stands
+
+
+class Broken:
+    """A random force that cannot be computed."""
+
+    def __call__(self, t: float, x: np.ndarray) -> float:
+        raise ZeroDivisionError('of the user')
+
+
+@pytest.mark.parametrize(
+    'crowd', [Crowd(friction=1e6), Crowd(noise_field=Broken()), Crowd(Morse(1e6, 1e-9))]
+)
+def test_a_herd_that_cannot_move_stands_until_it_can(crowd: Crowd) -> None:
+    run = make()
+    run.change_crowd(crowd)
+    for _ in range(100):
+        before = run.simulation.state
+        run.advance(STAND)
+        if run.failed:
+            break
+    else:
+        assert np.isfinite(run.simulation.state.x).all()
+        return
+    assert run.stands
+    assert 'a step could not be taken' in run.outcome
+    assert run.simulation.state is before
+    now = run.now
+    run.change_crowd(Crowd())
+    assert not run.stands
+    run.restart()
+    run.advance(STAND)
+    assert run.now > 0 <= now
 
 
 @pytest.mark.parametrize('stops', [True, False])

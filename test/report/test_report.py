@@ -51,14 +51,18 @@ def run() -> RecordedRun:
         x=x,
         v=np.zeros_like(x),
         d=d,
+        dogs=(1, 2),
         command_times=times,
         commands=np.zeros_like(d),
         goal=np.array([1.0, 0.0]),
         replans=(replan(0, 30.0), replan(1, 10.0), replan(2, 11.0)),
+        replans_made=3,
+        namespace='',
         parameters={'/sim': {'seed': 7}},
         version='1.2.3',
         wall_s=0.25,
         topics=(Topic('/a', 'a_msgs/msg/A', 3, 1.0), Topic('/b', 'a_msgs/msg/B', 4, 2.0)),
+        notes=(),
     )
 
 
@@ -82,6 +86,8 @@ def test_summary_of_an_arrival(run: RecordedRun) -> None:
     assert summary['max_spread_m'] == pytest.approx(0.7)
     assert summary['initial_spread_m'] == pytest.approx(0.4)
     assert summary['replans'] == 3
+    assert summary['largest_gap_s'] == 0.5
+    assert summary['notes'] == []
     assert summary['solve_ms_median'] == 11.0
     assert summary['solve_ms_max'] == 30.0
     assert summary['messages_recorded'] == 7
@@ -97,6 +103,24 @@ def test_summary_of_an_arrival(run: RecordedRun) -> None:
 def test_summary_without_arrival(run: RecordedRun) -> None:
     summary = summarise(replace(run, goal=np.array([5.0, 5.0])))
     assert summary['arrived'] is False
+    assert summary['time_s'] == 2.0
+
+
+def test_sheep_that_are_not_seen_do_not_count(run: RecordedRun) -> None:
+    """The last sheep is out of sight at first and at the end: the others decide."""
+    x = run.x.copy()
+    x[[0, -1], 3] = NAN
+    summary = summarise(replace(run, x=x))
+    assert summary['sheep'] == 4
+    assert summary['initial_spread_m'] == pytest.approx(0.4)  # that of the first whole flock
+    assert summary['time_s'] == 1.5
+    centre = x[-1, :3].mean(axis=0)
+    assert summary['final_distance_m'] == pytest.approx(np.hypot(*(centre - run.goal)))
+
+
+def test_summary_without_destination(run: RecordedRun) -> None:
+    summary = json.loads(json.dumps(summarise(replace(run, goal=None)), allow_nan=False))
+    assert [summary[key] for key in ('arrived', 'final_distance_m', 'goal')] == [None] * 3
     assert summary['time_s'] == 2.0
 
 
@@ -131,8 +155,13 @@ def test_picture_shows_sheep_dogs_and_goal(run: RecordedRun, tmp_path: Path) -> 
     [
         {'replans': ()},
         {'replans': (replan(0, NAN),)},
+        {'goal': None},
+        {'d': np.full((5, 2, 2), NAN)},
+        {'d': np.empty((5, 0, 2)), 'dogs': ()},
+        {'x': np.where(np.arange(4)[:, None] < [[[1]]] * 5, 1.0, NAN)},
     ],
 )
+@pytest.mark.filterwarnings('error')
 def test_picture_of_a_poor_run(run: RecordedRun, tmp_path: Path, change: dict[str, Any]) -> None:
     save_trajectories(replace(run, **change), tmp_path / 'trajectories.png')
     assert (tmp_path / 'trajectories.png').stat().st_size > 10_000
@@ -203,6 +232,29 @@ def test_program_writes_beside_the_bag(
         'bag', 'summary.json', 'trajectories.png'
     ]  # fmt: skip
     assert 'summary.json' in capsys.readouterr().out
+
+
+def test_program_says_what_it_left_out(
+    run: RecordedRun, tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with run_recorder(tmp_path / 'bag') as recorder:
+        recorder.advertise('/a/dog_1/odom', 'nav_msgs/msg/Odometry')
+        recorder.advertise('/[red]\x1b[2J', 'std_msgs/msg/String')
+        recorder.sheep('/a/sheep', 0, run.x[0], run.v[0])
+        recorder.sheep('/b/sheep', 0, run.x[0], run.v[0])
+        recorder.goal(0, (1, 1), '/a/goal_pose')
+        recorder.goal(0, (2, 2), '/a/goal_pose', '\x1b[2J[red]')
+    assert main([str(tmp_path / 'bag')]) == 2
+    assert 'several namespaces, /a, /b' in capsys.readouterr().err
+    assert main([str(tmp_path / 'bag'), '--namespace', 'a']) == 0
+    printed = capsys.readouterr().out
+    assert 'to (1, 1): did not arrive' in printed
+    notes = json.loads((tmp_path / 'summary.json').read_text())['notes']
+    assert len(notes) == 3
+    for note in notes:
+        assert f'note: {note}' in printed
+    assert '[red]' in printed
+    assert '\x1b' not in printed
 
 
 def test_program_says_what_it_cannot_read(

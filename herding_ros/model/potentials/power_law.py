@@ -19,9 +19,11 @@ class PowerLaw(Potential):
     """
 
     repulsion: float = quantity(5e-3, 'strength C_r of the repulsion', 'm^2/s^2', low=0.0)
-    repulsion_exponent: float = quantity(3.0, 'exponent p_r of the repulsion', low=TINY)
+    repulsion_exponent: float = quantity(3.0, 'exponent p_r of the repulsion', low=TINY, high=12.0)
     attraction: float = quantity(1e-3, 'strength C_a of the attraction', 'm^2/s^2', low=0.0)
-    attraction_exponent: float = quantity(1.0, 'exponent p_a of the attraction', low=TINY)
+    attraction_exponent: float = quantity(
+        1.0, 'exponent p_a of the attraction', low=TINY, high=12.0
+    )
     length: float = quantity(0.05, 'distance l within which it is smoothed', 'm', low=TINY)
 
     @property

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages <-> arrays: the only place that depends on what a message looks like. SI units."""
 
-from .checks import check_frame, check_stamp
+from herding_ros.checks import check_frame, check_stamp
+
 from .diagnostics import diagnostics
 from .received import command_in, dog_in, goal_in, Sheep, sheep_in, twist_in
 from .sent import cloud, command, odometry, trajectory, twist
 from .stamps import dog_frame, nanoseconds, stamp_of
-from .visualisation import marker_array, path
+from .visualisation import marker_array, path, pose
 
 __all__ = [
     'Sheep',
@@ -23,6 +24,7 @@ __all__ = [
     'nanoseconds',
     'odometry',
     'path',
+    'pose',
     'sheep_in',
     'stamp_of',
     'trajectory',

@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from herding_ros.checks import check_finite, check_frame, check_goal, check_size, Refused
 from herding_ros.model.state import Array
-from herding_ros.nodes.refusals import Refused
 from herding_ros.nodes.wire import Reader
 from herding_ros.point_cloud import points
 
-from .checks import check_finite, check_frame, check_size
 from .stamps import dog_frame, turned
 
 _ODOMETRY_NUMBERS = 7 + 36 + 6 + 36
@@ -29,6 +28,8 @@ _TO_VELOCITY = 7 + 36 + 2
 
 _ROUNDING = 0.1
 """By how much the squared length of a quaternion may differ from 1."""
+
+_COLUMNS = ('x', 'y', 'vx', 'vy')
 
 _LARGEST_SINGLE = 1e6
 """Single precision resolves 6 cm there [m]: farther out it would not see a sheep move."""
@@ -63,7 +64,7 @@ def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
         raise Refused('malformed', str(error)) from None
     values: Array = np.empty((len(sheep), 4))
     with np.errstate(invalid='ignore'):  # converting some NaN warns on stderr
-        for i, name in enumerate(('x', 'y', 'vx', 'vy')):
+        for i, name in enumerate(_COLUMNS):
             values[:, i] = _column(sheep, name, 'f', 'FLOAT32 or FLOAT64')
     ids: NDArray[np.uint32] = np.arange(len(sheep), dtype=np.uint32)
     if 'id' in (sheep.dtype.names or ()):
@@ -90,22 +91,23 @@ def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
 
 
 def _check_resolution(dtype: np.dtype[np.void], values: Array) -> None:
-    """Refuse positions in single precision where that would not see a sheep move."""
-    size = float(np.abs(values[:, :2]).max())
-    if size > _LARGEST_SINGLE and np.float32 in (dtype['x'].type, dtype['y'].type):
+    """Refuse numbers in single precision where that would not see a sheep move."""
+    is_single = [dtype[name].itemsize == 4 for name in _COLUMNS]
+    size = float(np.abs(values[:, is_single]).max(initial=0.0))
+    if size > _LARGEST_SINGLE:
         raise Refused(
             'too large',
-            f'sheep positions in FLOAT32 must be at most {_LARGEST_SINGLE:g} m, got {size:g} m, '
-            f'which it resolves to {np.spacing(np.float32(size)):g} m; send FLOAT64',
+            f'sheep in FLOAT32 must be at most {_LARGEST_SINGLE:g} [m, m/s], got {size:g}, '
+            f'which it resolves to {np.spacing(np.float32(size)):g}; send FLOAT64',
         )
 
 
 def _column(sheep: NDArray[np.void], name: str, kinds: str, allowed: str) -> NDArray[np.generic]:
     if name not in (sheep.dtype.names or ()):
-        raise Refused('wrong fields', f'sheep must have a field {name} of type {allowed}')
+        raise Refused('wrong fields', f'sheep must have a field {name} of type {allowed}', name)
     if sheep.dtype[name].kind not in kinds:
-        kind = sheep.dtype[name]
-        raise Refused('wrong fields', f'field {name} must be of type {allowed}, got {kind}')
+        reason = f'field {name} must be of type {allowed}, got {sheep.dtype[name]}'
+        raise Refused('wrong fields', reason, name)
     column: NDArray[np.generic] = sheep[name]
     return column
 
@@ -208,7 +210,6 @@ def goal_in(data: bytes, frame: str) -> Array:
     """Destination (2,) [m] in a PoseStamped."""
     reader = Reader(data)
     _, given = reader.header()
-    check_frame('goal', given, frame)
     x, y = reader.doubles(7, 2)
-    check_size('goal', x, y)
+    check_goal(given, x, y, frame)
     return np.array([x, y])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What RViz draws: paths and markers."""
+"""What RViz draws: paths, poses and markers."""
 
 from __future__ import annotations
 
@@ -17,12 +17,18 @@ from .stamps import stamp_of
 def path(route: Array, dt: float, ns: int, frame: str) -> Path:
     """Route (K, 2) [m], its points dt [s] apart, the first at the stamp."""
     message = Path(header=Header(stamp=stamp_of(ns), frame_id=frame))
-    upright = Quaternion(w=1.0)
-    for k, (x, y) in enumerate(route.tolist()):
-        header = Header(stamp=stamp_of(ns + round(k * dt * 1e9)), frame_id=frame)
-        pose = Pose(position=Point(x=x, y=y), orientation=upright)
-        message.poses.append(PoseStamped(header=header, pose=pose))
+    message.poses += [pose(at, ns + round(k * dt * 1e9), frame) for k, at in enumerate(route)]
     return message
+
+
+def pose(position: Array, ns: int, frame: str) -> PoseStamped:
+    """Position (2,) [m], upright, from the stamp on."""
+    x, y = position.tolist()
+    upright = Quaternion(w=1.0)
+    return PoseStamped(
+        header=Header(stamp=stamp_of(ns), frame_id=frame),
+        pose=Pose(position=Point(x=x, y=y), orientation=upright),
+    )
 
 
 def marker_array(x: Array, d: Array, goal: Array, ns: int, frame: str) -> MarkerArray:
