@@ -7,11 +7,10 @@ from collections.abc import Callable
 import time
 from typing import Any
 
-import numpy as np
-import pytest
-
 from benchmark import machine
 from herding_ros.control.parameters import Control
+import numpy as np
+import pytest
 
 _SECONDS = 3.0
 """A comparison is repeated for about this long, but within the limits that follow."""

@@ -18,6 +18,13 @@ import sys
 import time
 from typing import Any
 
+from herding_ros.bag.metadata import read_metadata
+from herding_ros.control.lead import lead_at
+from herding_ros.control.parameters import Horizon
+from herding_ros.nodes.middleware import start_ros
+from herding_ros.nodes.progress import Watcher
+from herding_ros.nodes.supervision import Child
+from herding_ros.report.style import legend, new, save
 from mcap.reader import make_reader
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +33,6 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rich.console import Console
 from rosbags.highlevel import AnyReader
-
-from herding_ros.bag.metadata import read_metadata
-from herding_ros.control.lead import lead_at
-from herding_ros.control.parameters import Horizon
-from herding_ros.nodes.middleware import start_ros
-from herding_ros.nodes.progress import Watcher
-from herding_ros.nodes.supervision import Child
-from herding_ros.report.style import legend, new, save
 
 WARM_UP = 0.1
 """Share of a run that is not judged: caches fill, the recorder discovers the topics."""

@@ -6,11 +6,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmark.problem import SHEEP
 from benchmark.results import Results
 from herding_ros.report.style import BLUE, COLOURS, legend, new, RED, save
+import numpy as np
 
 _COLOURS = {'ours': RED, 'JAX': BLUE, 'CasADi': COLOURS[2], 'NumPy': COLOURS[3]}
 _LINES = {1: ':', 5: '-', 20: '--'}

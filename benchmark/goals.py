@@ -6,11 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from benchmark.results import Results
 from herding_ros.report import markdown
 from herding_ros.report.statistics import Quartiles
+import numpy as np
 
 
 def growth(results: Results) -> list[float]:

@@ -6,8 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
@@ -20,6 +18,7 @@ from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array
+import numpy as np
 
 SHEEP = (10, 30, 100, 300, 1000)
 DOGS = (1, 5, 20)

@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-import numpy as np
-
 from herding_ros.model.kernels import exp_neg
 from herding_ros.model.state import Array
+from numba import njit
+import numpy as np
 
 SIZE = 1024
 """Entries of the array: 8 KiB."""

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import product
 
-import numpy as np
-
 from benchmark.goals import GOALS, NOT_MEASURED
 from benchmark.memory import IMPLEMENTATIONS
 from benchmark.problem import DOGS, SHEEP
 from benchmark.results import Entry, Results
 from herding_ros.report import markdown
 from herding_ros.report.statistics import Quartiles, significant
+import numpy as np
 
 table = partial(markdown.table, nothing=NOT_MEASURED)
 

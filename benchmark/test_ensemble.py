@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-import pytest
-
 from benchmark.peers import numpy_ensemble
 from benchmark.problem import DOGS, ENSEMBLE_STEPS, PATHS, Problem, SHEEP
+import numpy as np
+import pytest
 
 CASES = [*((n, 5) for n in SHEEP), *((30, m) for m in DOGS if m != 5)]
 

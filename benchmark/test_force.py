@@ -9,9 +9,6 @@ import os
 import time
 from typing import Any
 
-import numpy as np
-import pytest
-
 from herding_ros.model import fast_forces
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout, to_lanes
@@ -19,6 +16,8 @@ from herding_ros.model.fast_forces import DirectSum, prepare, Sums
 from herding_ros.model.particle_mesh import Run
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 FLOCKS = (1000, 3000, 10_000, 30_000, 100_000, 1_000_000)
 CROSSING = (500, 1000, 1500, 2000, 3000)

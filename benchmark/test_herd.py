@@ -12,10 +12,9 @@ import subprocess
 import sys
 from typing import Any
 
+from herding_ros.bag.reader import read_run
 import numpy as np
 import pytest
-
-from herding_ros.bag.reader import read_run
 
 CASES = {(30, 5): 3, (10_000, 6): 1}
 """Number of runs by sheep and dogs; the memory of the largest is seen last."""

@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import pytest
-
 from benchmark import memory
 from benchmark.problem import DOGS, ENSEMBLE_STEPS, SHEEP, STEPS
+import pytest
 
 CASES = [
     (implementation, sheep, dogs)

@@ -5,9 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-import pytest
-
 from benchmark.peers import scipy_lbfgsb
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
@@ -20,6 +17,8 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 NEAR = 1e-4
 """Relative distance from the objective that SPG ends with, at which the clock stops."""

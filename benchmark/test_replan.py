@@ -8,9 +8,6 @@ import dataclasses
 from functools import cache
 from typing import Any
 
-import numpy as np
-import pytest
-
 from herding_ros.control.parameters import Control, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solve_report import SolveReport
@@ -18,6 +15,8 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import HerdState
+import numpy as np
+import pytest
 
 SEEDS = range(5)
 THOROUGH = Control(mapping=Mapping(tolerance=0.0))

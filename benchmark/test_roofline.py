@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import pytest
-
 from benchmark import roofline
 from benchmark.problem import ENSEMBLE_STEPS, Problem, SHEEP, STEPS
+import pytest
 
 
 def test_the_bare_loop_is_vectorised() -> None:

@@ -7,10 +7,9 @@ from collections.abc import Callable
 import shutil
 from typing import Any
 
+from benchmark.problem import DOGS, Problem, SHEEP, STEPS
 import numpy as np
 import pytest
-
-from benchmark.problem import DOGS, Problem, SHEEP, STEPS
 
 AGREEMENT = 1e-8
 PEERS = {'JAX': 'benchmark.peers.jax_adjoint', 'CasADi': 'benchmark.peers.casadi_adjoint'}

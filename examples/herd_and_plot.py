@@ -3,9 +3,8 @@
 
 import sys
 
-from matplotlib.figure import Figure
-
 from herding_ros import closed_loop, Control, Crowd, distance, spread, World
+from matplotlib.figure import Figure
 
 goal = [0.5, 0.5]
 run = closed_loop(Crowd(), World(sheep=20, dogs=3, seed=1), Control(), goal, time_limit=200.0)

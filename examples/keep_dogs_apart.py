@@ -3,9 +3,8 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from herding_ros import closed_loop, Control, Crowd, Derivatives, World
+import numpy as np
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,8 @@
 The policy sends each dog behind the flock, seen from the goal, and then pushes.
 """
 
-import numpy as np
-
 from herding_ros import closed_loop, Control, Crowd, NoiseField, play, Simulation, World
+import numpy as np
 
 GOAL, SPEED = np.array([0.5, 0.5]), 0.05
 crowd = Crowd(noise_field=NoiseField(patch=1.0, patch_centre=(0.2, 0.2), patch_radius=0.2))

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts the controller and the recorder, and on request RViz, for dogs and sheep of your own."""
 
-from launch import LaunchDescription
-
 from herding_ros.nodes.launch_plan import plan_real_dogs, real_dogs_arguments
 from herding_ros.nodes.launching import description
+from launch import LaunchDescription
 
 
 def generate_launch_description() -> LaunchDescription:

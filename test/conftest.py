@@ -10,13 +10,12 @@ from pathlib import Path
 import subprocess
 from typing import Any
 
+from herding_ros.bag.writer import BagWriter
+from herding_ros.model.state import HerdState
 from hypothesis import settings
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
-
-from herding_ros.bag.writer import BagWriter
-from herding_ros.model.state import HerdState
 
 settings.register_profile(
     'repeatable', database=None, deadline=None, derandomize=True, max_examples=20

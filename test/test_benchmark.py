@@ -4,20 +4,17 @@ from __future__ import annotations
 import json
 from pathlib import Path
 import subprocess
-import sys
 from typing import Any
 
+from benchmark import report
+from benchmark.memory import resident
+from benchmark.peers import numpy_ensemble, scipy_lbfgsb
+from benchmark.problem import Problem
+from benchmark.results import Results
 import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from benchmark import report  # noqa: E402
-from benchmark.memory import resident  # noqa: E402
-from benchmark.peers import numpy_ensemble, scipy_lbfgsb  # noqa: E402
-from benchmark.problem import Problem  # noqa: E402
-from benchmark.results import Results  # noqa: E402
 
 
 def test_numpy_has_the_same_ensemble() -> None:

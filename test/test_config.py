@@ -8,14 +8,13 @@ from pathlib import Path
 import re
 from typing import Any
 
-import pytest
-import yaml
-
 from herding_ros.control.parameters import Control, CONTROLS, PAPER
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
 from herding_ros.nodes.settings import ControllerSettings, ControlPreset, SimSettings
+import pytest
+import yaml
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 FILES = sorted(CONFIG.glob('*.yaml'))

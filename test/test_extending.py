@@ -10,9 +10,6 @@ import re
 import runpy
 from typing import Any
 
-import numpy as np
-import pytest
-
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.check import taylor_orders
 from herding_ros.control.costs.cost import Cost
@@ -22,6 +19,8 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 PAGE = Path(__file__).resolve().parents[1] / 'doc' / 'extending.md'
 Run = Callable[[str], tuple[dict[str, Any], list[list[str]]]]

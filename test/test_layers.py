@@ -5,9 +5,8 @@ from pathlib import Path
 import subprocess
 import sys
 
-import pytest
-
 import herding_ros
+import pytest
 
 PACKAGE = Path(herding_ros.__file__).parent
 # What each layer may import from the package, besides itself.

@@ -11,9 +11,8 @@ import subprocess
 import sys
 from xml.etree import ElementTree
 
-import pytest
-
 import herding_ros
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / 'examples').glob('*.py'))

@@ -13,8 +13,6 @@ from pathlib import Path
 import re
 from typing import Any
 
-import pytest
-
 from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import describe_limits, Parameters
@@ -25,6 +23,7 @@ from herding_ros.nodes.settings import (
     RecorderSettings,
     SimSettings,
 )
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'herding_ros'

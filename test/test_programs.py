@@ -11,9 +11,8 @@ import signal
 import subprocess
 import sys
 
-import pytest
-
 from herding_ros import programs
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = re.findall(r"'(\w+) = herding_ros\.programs:\1'", (ROOT / 'setup.py').read_text())

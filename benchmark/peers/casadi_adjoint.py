@@ -12,11 +12,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import casadi as ca
-import numpy as np
-
 from benchmark.problem import Problem
+import casadi as ca
 from herding_ros.model.state import Array
+import numpy as np
 
 COMPILER_FLAGS = ('-O3', '-march=native', '-ffast-math')
 

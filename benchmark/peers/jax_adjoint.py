@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from benchmark.problem import Problem
+from herding_ros.model.state import Array
 import jax
 from jax import lax
 import jax.numpy as jnp
 import numpy as np
-
-from benchmark.problem import Problem
-from herding_ros.model.state import Array
 
 jax.config.update('jax_enable_x64', True)
 

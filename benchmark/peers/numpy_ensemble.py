@@ -8,10 +8,9 @@ scattered.) One thread: NumPy is not threaded here.
 
 from __future__ import annotations
 
-import numpy as np
-
 from benchmark.problem import Problem
 from herding_ros.model.state import Array
+import numpy as np
 
 _PAIRS = 100_000
 """Entries of a buffer of pairs."""

@@ -13,11 +13,10 @@ this one needs the fewest evaluations.
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.optimize import minimize
-
 from herding_ros.control.solution import ValueAndGradient
 from herding_ros.model.state import Array
+import numpy as np
+from scipy.optimize import minimize
 
 
 def minimise(

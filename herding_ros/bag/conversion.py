@@ -6,12 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from herding_ros.checks import check_finite, Refused
+from herding_ros.point_cloud import points
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys import get_typestore, Stores
-
-from herding_ros.checks import check_finite, Refused
-from herding_ros.point_cloud import points
 
 from .recorded_run import Array
 from .stored import Stored

@@ -17,9 +17,8 @@ from pathlib import Path
 import re
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from herding_ros.checks import check_frame, check_goal, Refused
+import numpy as np
 
 from .conversion import Flock, read_message
 from .inspection import inspect

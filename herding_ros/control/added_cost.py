@@ -6,9 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from herding_ros.model.state import Array, Trajectory
+import numpy as np
 
 from .coarse_model import CoarseModel
 from .costs.cost import Cost

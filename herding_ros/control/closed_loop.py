@@ -6,11 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, finite, HerdState
+import numpy as np
 
 from .costs.cost import Cost
 from .lockstep_pilot import LockstepPilot

@@ -7,15 +7,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 import os
 
-import numpy as np
-from numpy.typing import NDArray
-
 from herding_ros.model import kernels
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import physics, positions, reverse_sweep, rollout
 from herding_ros.model.linear_algebra import times, transposed_times
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.state import Array, HerdState, Trajectory
+import numpy as np
+from numpy.typing import NDArray
 
 from .costs.cost import Cost, Derivatives
 

@@ -12,15 +12,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.noise import strength
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, finite, HerdState
+import numpy as np
+from numpy.typing import NDArray
 
 from .parameters import Sensor
 

@@ -8,9 +8,8 @@ from dataclasses import replace
 import math
 from typing import Protocol
 
-import numpy as np
-
 from herding_ros.model.state import Array
+import numpy as np
 
 from .solution import Budget, criticality, Problem, Solution, Status, ValueAndGradient
 from .spg import spg

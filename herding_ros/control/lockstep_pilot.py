@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from herding_ros.model.state import HerdState
+import numpy as np
 
 from .parameters import check_lockstep
 from .pilot import Announcement, Condition, Decision, Observed, Pilot, Planner

@@ -14,11 +14,10 @@ import math
 import threading
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.state import Array, finite, HerdState
+import numpy as np
+from numpy.typing import NDArray
 
 from .estimator import StateEstimator
 from .parameters import Control

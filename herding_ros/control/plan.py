@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from herding_ros.model.state import Array, finite
+import numpy as np
 
 _SLACK = 1e-6
 """An instant this little before an interval counts as its start [s].

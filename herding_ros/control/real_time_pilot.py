@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.state import HerdState
+import numpy as np
 
 from .background import Run, run_in_thread, StepTimes, Work
 from .parameters import MOST_INTERVALS, Timing

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-import numpy as np
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState
+import numpy as np
 
 from .coarse_model import CoarseModel
 from .costs.control_effort import ControlEffort

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from herding_ros.model.flock import centre
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, HerdState
+import numpy as np
 
 from .parameters import Reference
 

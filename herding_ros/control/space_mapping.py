@@ -11,9 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 import math
 
-import numpy as np
-
 from herding_ros.model.state import Array
+import numpy as np
 
 from .solution import Budget, InnerProduct, never, NoTimeFor, Projection, Status
 

@@ -13,12 +13,6 @@ import sys
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
-from nav_msgs.msg import Path
-import numpy as np
-from rclpy.clock import Clock, ClockType
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from trajectory_msgs.msg import MultiDOFJointTrajectory
-
 from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import OutOfStepError
 from herding_ros.control.pilot import Announcement, Decision, dog_name
@@ -26,6 +20,11 @@ from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
+from nav_msgs.msg import Path
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from . import command_line, messages
 from .duplicates import sole_publisher

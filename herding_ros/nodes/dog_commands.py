@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from geometry_msgs.msg import Twist
+from herding_ros.model.state import Array
 import numpy as np
 from rclpy.publisher import Publisher
-
-from herding_ros.model.state import Array
 
 from . import messages
 from .herding_node import HerdingNode

@@ -12,13 +12,12 @@ from pathlib import Path
 import sys
 import time
 
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rich.console import Console
-
 from herding_ros.control.lead import FASTEST, lead_at, SLOWEST
 from herding_ros.model.parameters import LARGE, TINY
 from herding_ros.model.scenario import GOAL, MOST_DOGS, MOST_SHEEP
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rich.console import Console
 
 from .middleware import start_ros
 from .progress import ProgressLine, Watcher

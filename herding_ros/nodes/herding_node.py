@@ -8,6 +8,7 @@ from copy import copy
 import time
 from typing import Any
 
+from herding_ros.model.parameters import Parameters
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -17,8 +18,6 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
-
-from herding_ros.model.parameters import Parameters
 
 from .parameters import check_parameter
 from .refusals import Refusals, Refused

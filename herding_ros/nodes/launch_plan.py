@@ -18,10 +18,9 @@ from ament_index_python.packages import (
     get_package_share_directory,
     PackageNotFoundError,
 )
-import yaml
-
 from herding_ros.control.lead import lead_at
 from herding_ros.control.parameters import check_lockstep, Horizon
+import yaml
 
 from .publishing import CLOCK
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import shutil
 from tempfile import mkdtemp
 
+from herding_ros.bag.writer import BagWriter, LAST_TIME_NS
 from mcap.reader import make_reader
 
-from ..bag.writer import BagWriter, LAST_TIME_NS
 from .recorded_topics import NewTopic
 from .refusals import Refused
 from .wire import Reader

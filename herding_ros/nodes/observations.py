@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from herding_ros.control.parameters import Control
+from herding_ros.control.pilot import is_set_back, Observed
+from herding_ros.model.state import Array, HerdState
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
-
-from herding_ros.control.parameters import Control
-from herding_ros.control.pilot import is_set_back, Observed
-from herding_ros.model.state import Array, HerdState
 
 from . import messages
 from .inbox import Inbox

@@ -7,10 +7,9 @@ from collections.abc import Callable
 import time
 from typing import Protocol
 
+from herding_ros.model.state import Array
 from rclpy.clock import Clock, ClockType
 from rclpy.timer import Timer
-
-from herding_ros.model.state import Array
 
 from .dog_commands import DogCommands
 from .herding_node import HerdingNode

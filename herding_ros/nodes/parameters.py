@@ -8,13 +8,12 @@ import dataclasses
 import sys
 from typing import Any, TypeVar
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.node import Node
-
 from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import check, describe_limits, Entry, Parameters
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
 
 from .settings import ControlPreset, CrowdPreset
 

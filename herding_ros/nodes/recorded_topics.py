@@ -9,11 +9,11 @@ from operator import attrgetter
 import time
 from typing import Any, NamedTuple
 
+from herding_ros.bag.definitions import message_definition
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from ..bag.definitions import message_definition
 from .inbox import MOST_AT_ONCE
 from .tap import Received, Tap
 from .topic_qos import adapted_qos, asks_more, is_same, qos_map

@@ -16,6 +16,9 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from herding_ros import __version__
+from herding_ros.bag.metadata import advice
+from herding_ros.bag.writer import BagWriter
 import rclpy
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.exceptions import ParameterException
@@ -23,9 +26,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from std_srvs.srv import Trigger
 
-from .. import __version__
-from ..bag.metadata import advice
-from ..bag.writer import BagWriter
 from . import command_line
 from .herding_node import HerdingNode
 from .log_clock import LogClock, rewritten

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import time
 
-from rclpy.impl.rcutils_logger import RcutilsLogger
-
 from herding_ros.checks import Refused
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 _LONGEST_REASON = 300
 """Characters of a reason that are logged: it may quote what a message holds."""

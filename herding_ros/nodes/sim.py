@@ -8,6 +8,11 @@ import sys
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.flock import distance, spread
+from herding_ros.model.simulation import World
+from herding_ros.model.state import Array
+from herding_ros.model.warmup import warm_up_rollout
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -17,12 +22,6 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
-
-from herding_ros.model.crowd import Crowd
-from herding_ros.model.flock import distance, spread
-from herding_ros.model.simulation import World
-from herding_ros.model.state import Array
-from herding_ros.model.warmup import warm_up_rollout
 
 from . import command_line, messages
 from .dog_commands import DogCommands

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
+import numpy as np
 
 
 class SimulatedRun:

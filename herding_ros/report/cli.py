@@ -10,13 +10,12 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
 from herding_ros.bag.notes import printable
 from herding_ros.bag.reader import read_run
 from herding_ros.bag.recorded_run import RecordedRun
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from .figures import save_trajectories
 from .summary import summarise

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import os
 
+from herding_ros.bag.recorded_run import Array, RecordedRun
+from herding_ros.model.flock import ARRIVAL_DISTANCE, centre, distance, spread, TOGETHER
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 import numpy as np
-
-from herding_ros.bag.recorded_run import Array, RecordedRun
-from herding_ros.model.flock import ARRIVAL_DISTANCE, centre, distance, spread, TOGETHER
 
 from .style import BLUE, draw_goal, draw_herd, draw_paths, GREY, save
 from .summary import initial_spread, over_time

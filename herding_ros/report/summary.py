@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from herding_ros.bag.recorded_run import Array, RecordedRun
 from herding_ros.model.flock import arrived, distance, spread
+import numpy as np
 
 
 def over_time(observable: Callable[[Array], Array], run: RecordedRun) -> Array:

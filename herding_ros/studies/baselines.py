@@ -7,11 +7,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Fraction, Mean, significant
 from herding_ros.report.style import COLOURS, legend, new, save
+import numpy as np
 
 from .experiments.strombom import Strombom
 from .runs import PLAIN, run_task, safe, SETTINGS, success, summary, times_of_arrivals

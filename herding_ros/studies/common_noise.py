@@ -8,12 +8,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from herding_ros.control.parameters import Mapping, PAPER
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, COLOURS, GREY, legend, new, save
+import numpy as np
 
 from .runs import median_time, PLAIN, run_task, settings_of, success
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section

@@ -10,11 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Mean
 from herding_ros.report.style import COLOURS, GREY, new, save
+import numpy as np
 
 Pair = tuple[dict[str, Any], dict[str, Any]]
 """Results of a window and of direct optimisation, of the same flock on the same paths."""

@@ -7,11 +7,10 @@ from itertools import product
 import math
 from pathlib import Path
 
-import numpy as np
-
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Fraction
 from herding_ros.report.style import COLOURS, legend, new, save
+import numpy as np
 
 from .runs import (
     arrival_row,

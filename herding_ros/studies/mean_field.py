@@ -7,11 +7,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, GREY, legend, new, RED, save
+import numpy as np
 
 from .study import grid, Options, Results, Row, Section, tasks_of
 from .task import Task

@@ -8,11 +8,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Mean
 from herding_ros.report.style import BLUE, legend, new, RED, save
+import numpy as np
 
 from .runs import (
     arrival_row,

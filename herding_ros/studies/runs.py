@@ -8,15 +8,14 @@ import math
 from pathlib import Path
 from typing import Any
 
-from matplotlib.axes import Axes
-import numpy as np
-
 from herding_ros.control.parameters import Control, PAPER
 from herding_ros.model.flock import ARRIVAL_DISTANCE
 from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Fraction, Mean, Median, significant
 from herding_ros.report.style import draw_goal, draw_herd, draw_paths, new, save
+from matplotlib.axes import Axes
+import numpy as np
 
 from .study import Options, Results, Row
 from .task import Task

@@ -6,11 +6,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
-
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Mean, significant
 from herding_ros.report.style import COLOURS, new, save
+import numpy as np
 
 from .experiments.sampling import COMPARED
 from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section

@@ -7,14 +7,13 @@ import math
 from pathlib import Path
 from typing import Any
 
-from matplotlib.patches import Circle
-import numpy as np
-
 from herding_ros.model.flock import ARRIVAL_DISTANCE, TOGETHER
 from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Fraction, Mean, Median
 from herding_ros.report.style import BLUE, draw_goal, draw_herd, new, save
+from matplotlib.patches import Circle
+import numpy as np
 
 from .runs import NAMES, run_task, SETTINGS
 from .study import grid, Options, Results, Row, Section

@@ -9,12 +9,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from herding_ros.control.parameters import Mapping, PAPER
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Mean, significant
 from herding_ros.report.style import COLOURS, legend, new, save
+import numpy as np
 
 from .direct_comparison import comparison, cost_shares, draw_costs, Pair, SENSITIVITY, shares
 from .runs import settings_of

@@ -23,13 +23,12 @@ import time
 import traceback
 from typing import Any
 
-from mcap.reader import make_reader
-from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
-
 from herding_ros.bag.metadata import FILE_NAME
 from herding_ros.bag.reader import read_run
 from herding_ros.bag.recovery import recover
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
 
 SECONDS = 1.0
 """What each call may take, and as much again for each MB of the bag [s of processor time]."""

@@ -8,10 +8,9 @@ import os
 from pathlib import Path
 import re
 
+from herding_ros.bag.definitions import message_definition, message_text
 import pytest
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-
-from herding_ros.bag.definitions import message_definition, message_text
 
 BAR = '=' * 80
 

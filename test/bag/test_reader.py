@@ -10,14 +10,13 @@ import random
 import shutil
 from typing import Any
 
-import numpy as np
-import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-
 from herding_ros.bag import reader
 from herding_ros.bag.reader import read_run
 from herding_ros.bag.writer import BagWriter
 from herding_ros.point_cloud import points
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 PERIOD_NS = 100_000_000
 PARAMETERS = {'/controller': {'goal': [0.5, -0.25]}, '/sim': {'seed': 3}}

@@ -20,6 +20,12 @@ import subprocess
 import sys
 from typing import Any
 
+from herding_ros.bag import recovery
+from herding_ros.bag.cli import main
+from herding_ros.bag.inspection import inspect, MOST_BYTES
+from herding_ros.bag.reader import read_run
+from herding_ros.bag.recovery import recover
+from herding_ros.bag.writer import BagWriter
 import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
@@ -32,13 +38,6 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 import yaml
 import zstandard
-
-from herding_ros.bag import recovery
-from herding_ros.bag.cli import main
-from herding_ros.bag.inspection import inspect, MOST_BYTES
-from herding_ros.bag.reader import read_run
-from herding_ros.bag.recovery import recover
-from herding_ros.bag.writer import BagWriter
 
 HASH = 'RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18'
 START = 1_700_000_000_000_000_000

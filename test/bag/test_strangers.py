@@ -13,13 +13,12 @@ import subprocess
 import sys
 from typing import Any
 
-import numpy as np
-import pytest
-import zstandard
-
 from herding_ros.bag.cli import main
 from herding_ros.bag.reader import read_run
 from herding_ros.bag.recovery import recover
+import numpy as np
+import pytest
+import zstandard
 
 MOST_MEGABYTES = 200
 """Memory that the programs need at most, that of the libraries included."""

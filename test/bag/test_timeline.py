@@ -6,11 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
+from herding_ros.bag.timeline import APART, in_order, restarts, Sample, since
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-
-from herding_ros.bag.timeline import APART, in_order, restarts, Sample, since
 
 RUN = [float(k) for k in range(10)]
 

@@ -13,6 +13,10 @@ import resource
 import shutil
 from typing import Any
 
+from herding_ros.bag import inspection, writer
+from herding_ros.bag.inspection import inspect, MOST_BYTES
+from herding_ros.bag.recovery import recover
+from herding_ros.bag.writer import BagWriter, CHUNK_SIZE, LARGEST_MESSAGE, RESERVE
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader, McapReader
 from mcap.records import Chunk, Message
@@ -29,11 +33,6 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from ruamel.yaml import YAML
-
-from herding_ros.bag import inspection, writer
-from herding_ros.bag.inspection import inspect, MOST_BYTES
-from herding_ros.bag.recovery import recover
-from herding_ros.bag.writer import BagWriter, CHUNK_SIZE, LARGEST_MESSAGE, RESERVE
 
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 PROFILE: dict[str, Any] = {

@@ -4,10 +4,9 @@ from __future__ import annotations
 import threading
 import time
 
-import pytest
-
 from herding_ros.control.background import StepTimes, Work
 from herding_ros.control.solution import NoTimeFor
+import pytest
 
 
 class Hours:

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
 
-import numpy as np
-import pytest
-
 from herding_ros.control.closed_loop import as_policy, closed_loop, ClosedLoopRun, play
 from herding_ros.control.costs.containment import Containment
 from herding_ros.control.lockstep_pilot import LockstepPilot
@@ -11,6 +8,8 @@ from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.simulation import Simulation, World
+import numpy as np
+import pytest
 
 GOAL = np.array([0.5, 0.5])
 SMALL = Control(horizon=Horizon(length=8.0, accepted=4.0), mapping=Mapping(paths=20))

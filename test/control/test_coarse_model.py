@@ -2,9 +2,6 @@
 from collections.abc import Callable
 import dataclasses
 
-import numpy as np
-import pytest
-
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.leash import Leash
@@ -14,6 +11,8 @@ from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.potentials import PowerLaw
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 HerdMaker = Callable[..., HerdState]
 Problem = tuple[CoarseModel, Objective, Array]

@@ -7,10 +7,6 @@ from dataclasses import replace
 import math
 from typing import Any
 
-import numpy as np
-import pytest
-from scipy.linalg import block_diag, solve_discrete_are
-
 from herding_ros.control.closed_loop import closed_loop, play
 from herding_ros.control.estimator import StateEstimator
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
@@ -22,6 +18,9 @@ from herding_ros.model.noise import increments
 from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, solve_discrete_are
 
 PERIOD, SUBSTEPS = 0.1, 2
 NOISY = Sensor(0.05, 0.05)

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import dataclass
 
-import numpy as np
-import pytest
-
 from herding_ros.control.gauss_newton import gauss_newton
 from herding_ros.control.solution import Budget, Problem, Solution, Status
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 project = Holonomic().project
 

@@ -5,10 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-import pytest
-from scipy.optimize import minimize
-
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
@@ -20,6 +16,9 @@ from herding_ros.model.crowd import CROWDS
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
+from scipy.optimize import minimize
 
 project = Holonomic().project
 

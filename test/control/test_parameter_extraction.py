@@ -2,9 +2,6 @@
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-import pytest
-
 from herding_ros.control.added_cost import AddedCost
 from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.coarse_model import CoarseModel
@@ -21,6 +18,8 @@ from herding_ros.model.motion import Holonomic
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import World
 from herding_ros.model.state import Array, Trajectory
+import numpy as np
+import pytest
 
 GOAL = np.array([0.5, 0.5])
 LIMIT, GAMMA, INTERVALS, DOGS = 0.05, 1e-2, 40, 3

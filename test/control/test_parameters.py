@@ -4,8 +4,6 @@ import dataclasses
 import math
 import re
 
-import pytest
-
 from herding_ros.control.parameters import (
     check_lockstep,
     Control,
@@ -21,6 +19,7 @@ from herding_ros.control.parameters import (
 from herding_ros.control.space_mapping import MIN_DECREASE
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
+import pytest
 
 GROUPS = [Weights, Reference, Horizon, Optimiser, Mapping, Sensor, Control]
 

@@ -6,11 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable
 import math
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
-import numpy as np
-import pytest
-
 from herding_ros.control.closed_loop import as_policy
 from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import Control, Horizon, OutOfStepError, Sensor, Timing
@@ -23,6 +18,10 @@ from herding_ros.control.solve_report import SolveReport
 from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.state import Array, HerdState
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
 
 PERIOD, LENGTH, ACCEPTED, LEAD = 0.1, 4.0, 2.0, 1.0
 CONTROL = Control(horizon=Horizon(length=LENGTH, accepted=ACCEPTED, control_period=PERIOD))

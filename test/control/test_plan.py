@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-import numpy as np
-import pytest
-
 from herding_ros.control.plan import Plan
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 INTERVALS = 200
 PERIOD = 100_000_000  # ns

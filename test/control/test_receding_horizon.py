@@ -3,9 +3,6 @@ from collections.abc import Sequence
 import dataclasses
 from functools import partial
 
-import numpy as np
-import pytest
-
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
@@ -27,6 +24,8 @@ from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 project = Holonomic().project
 

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-import numpy as np
-import pytest
-
 from herding_ros.control.parameters import Reference
 from herding_ros.control.reference import reference
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 GOAL = np.array([0.5, 0.5])
 

@@ -3,8 +3,6 @@
 
 import dataclasses
 
-import numpy as np
-
 from herding_ros.bag.recorded_run import Replan
 from herding_ros.control.parameters import Control, Horizon, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
@@ -12,6 +10,7 @@ from herding_ros.control.solution import Status
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.scenario import initial_herd
+import numpy as np
 
 REPORT = SolveReport(
     status=Status.OUT_OF_TIME,

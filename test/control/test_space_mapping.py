@@ -2,9 +2,6 @@
 from collections.abc import Callable
 import dataclasses
 
-import numpy as np
-import pytest
-
 from herding_ros.control.solution import Budget, Status
 from herding_ros.control.space_mapping import (
     aggressive_mapping,
@@ -15,6 +12,8 @@ from herding_ros.control.space_mapping import (
 )
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 project = Holonomic().project
 

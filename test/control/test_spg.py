@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 import itertools
 
-import numpy as np
-
 from herding_ros.control.solution import Budget, Problem, Status
 from herding_ros.control.spg import spg
 from herding_ros.model.state import Array
+import numpy as np
 
 
 def dot(a: Array, b: Array) -> float:

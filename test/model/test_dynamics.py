@@ -4,18 +4,17 @@ import dataclasses
 import itertools
 import math
 
-from hypothesis import given
-from hypothesis import strategies as st
-import numpy as np
-import pytest
-from scipy.integrate import solve_ivp
-
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import forces, rollout
 from herding_ros.model.noise import increments
 from herding_ros.model.potentials import Morse
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
 
 HerdMaker = Callable[..., HerdState]
 

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 
-import numpy as np
-import pytest
-
 from herding_ros.model import expectation
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
@@ -21,6 +18,8 @@ from herding_ros.model.sampling import (
 )
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 CROWD = Crowd(noise=0.03)
 NOTHING = Morse(0.0, 1.0, 0.0, 1.0)

@@ -3,9 +3,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
 
-import numpy as np
-import pytest
-
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.model import fast_forces
 from herding_ros.model.crowd import Crowd
@@ -20,6 +17,8 @@ from herding_ros.model.parameters import Parameters, quantity
 from herding_ros.model.sampling import FineModel
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 HerdMaker = Callable[..., HerdState]
 

@@ -2,9 +2,6 @@
 from concurrent.futures import ThreadPoolExecutor
 import os
 
-import numpy as np
-import pytest
-
 from herding_ros.model import fast_forces, kernels
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import forces, reverse_sweep, rollout, to_lanes
@@ -15,6 +12,8 @@ from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.particle_mesh import ParticleMesh
 from herding_ros.model.potentials import Potential, PowerLaw, Tabulated
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 COHESIVE = CROWDS['cohesive'].sheep
 R = np.linspace(0.0, 1.0, 30)

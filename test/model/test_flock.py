@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 
+from herding_ros.model.flock import arrived, centre, distance, spread
+from herding_ros.model.state import Array
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-
-from herding_ros.model.flock import arrived, centre, distance, spread
-from herding_ros.model.state import Array
 
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 HERE = np.array([3.0, -2.0])

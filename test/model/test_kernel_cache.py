@@ -9,9 +9,8 @@ import stat
 import subprocess
 import sys
 
-import pytest
-
 from herding_ros.model import kernel_cache
+import pytest
 
 PACKAGE = Path(kernel_cache.__file__).parents[1]
 

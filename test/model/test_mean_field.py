@@ -3,9 +3,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import forces, rollout
 from herding_ros.model.flock import centre, spread
@@ -13,6 +10,8 @@ from herding_ros.model.mean_field import blob_width, leaves, mean_field
 from herding_ros.model.potentials import Morse
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 HerdMaker = Callable[..., HerdState]
 GOAL = np.array([0.5, 0.5])

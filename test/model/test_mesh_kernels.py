@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-import numpy as np
-from scipy.interpolate import BSpline
-
 from herding_ros.model import mesh_kernels
 from herding_ros.model.mesh_kernels import Mesh, ORDER
 from herding_ros.model.state import Array
+import numpy as np
+from scipy.interpolate import BSpline
 
 ROWS, COLUMNS, PER_LENGTH = 25, 31, 20.0
 MESH = Mesh(-0.4, 0.3, PER_LENGTH, COLUMNS, 0)

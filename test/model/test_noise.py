@@ -5,9 +5,6 @@ import math
 from pathlib import Path
 import re
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import forces, rollout
 from herding_ros.model.expectation import mean_centre
@@ -19,6 +16,8 @@ from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 HerdMaker = Callable[..., HerdState]
 

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 
-import numpy as np
-import pytest
-
 from herding_ros.model import pair_kernels
 from herding_ros.model.pair_kernels import Cells, CHUNK
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 REACH = 0.3
 CELLS = Cells(-1.0, -0.5, REACH / 4.0, REACH, 27, 5)

@@ -5,13 +5,12 @@ import math
 import re
 from typing import Any
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import Parameters, quantity
 from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import World
+import numpy as np
+import pytest
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
-import pytest
-
 from herding_ros.model import kernels
 from herding_ros.model.crowd import CROWDS
 from herding_ros.model.particle_mesh import ParticleMesh, split
 from herding_ros.model.potentials import Morse, Potential, PowerLaw
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 COHESIVE = CROWDS['cohesive'].sheep
 POTENTIALS = [COHESIVE, CROWDS['printed'].sheep, PowerLaw()]

@@ -2,9 +2,6 @@
 from collections.abc import Callable
 import dataclasses
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.kernels import lanes, PATHS
@@ -20,6 +17,8 @@ from herding_ros.model.sampling import (
     Resolution,
 )
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+import pytest
 
 HerdMaker = Callable[..., HerdState]
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-import numpy as np
-import pytest
-
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 
 @pytest.mark.parametrize('goal', [(0.5, 0.5), (1.0, -2.0), (-0.3, 0.0)])

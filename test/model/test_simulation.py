@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 GOAL = np.array([0.5, 0.5])
 WORLD = World(sheep=9, dogs=2, seed=3)

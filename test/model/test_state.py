@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.state import finite, HerdState
+import numpy as np
+import pytest
 
 X, V, D = np.ones((3, 2)), np.zeros((3, 2)), np.full((2, 2), 5.0)
 NAMES = {'x': 'sheep positions x', 'v': 'sheep velocities v', 'd': 'dogs d'}

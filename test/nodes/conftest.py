@@ -15,12 +15,11 @@ import time
 from typing import Any
 
 from forked import Forked, NODES
+from herding_ros.nodes.middleware import start_ros
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-
-from herding_ros.nodes.middleware import start_ros
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 

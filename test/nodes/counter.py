@@ -13,11 +13,10 @@ import struct
 import sys
 import time
 
+from herding_ros.nodes.middleware import start_ros
 import rclpy
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
-
-from herding_ros.nodes.middleware import start_ros
 
 PERIOD = 0.001
 

@@ -13,6 +13,12 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from herding_ros.control.parameters import Control, Horizon, Mapping, Weights
+from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.noise_field import NoiseField
+from herding_ros.model.state import HerdState
+from herding_ros.nodes import messages
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
@@ -22,13 +28,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from trajectory_msgs.msg import MultiDOFJointTrajectory
-
-from herding_ros.control.parameters import Control, Horizon, Mapping, Weights
-from herding_ros.control.receding_horizon import RecedingHorizon
-from herding_ros.model.crowd import Crowd
-from herding_ros.model.noise_field import NoiseField
-from herding_ros.model.state import HerdState
-from herding_ros.nodes import messages
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)

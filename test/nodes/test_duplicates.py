@@ -9,11 +9,10 @@ import re
 from types import SimpleNamespace
 from typing import Any
 
-import pytest
-from rosgraph_msgs.msg import Clock
-
 from herding_ros.nodes import duplicates
 from herding_ros.nodes.running import CannotGoOnError
+import pytest
+from rosgraph_msgs.msg import Clock
 
 BLIND = Path(__file__).with_name('blind.py')
 SMALL: dict[str, dict[str, Any]] = {'sim': {'sheep': 3, 'dogs': 1}, 'controller': {'dogs': 1}}

@@ -4,15 +4,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-import sys
 
+from benchmark.endurance import endure
 import pytest
 from rich.console import Console
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
-
-from benchmark.endurance import endure  # noqa: E402
 
 PERIODS = 3000
 

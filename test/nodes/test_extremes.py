@@ -6,8 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 import math
 
-import numpy as np
-
 from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import Control, Horizon, Mapping
 from herding_ros.control.pilot import Observed
@@ -22,6 +20,7 @@ from herding_ros.nodes import messages
 from herding_ros.nodes.controller import ControllerSettings
 from herding_ros.nodes.sim import SimSettings
 from herding_ros.nodes.simulated_run import SimulatedRun
+import numpy as np
 
 SIZES = {'sheep', 'substeps', 'most_sheep', 'coarse.markers', 'mapping.paths', 'horizon.substeps'}
 """Large values are no more than large; they take minutes or all memory."""

@@ -11,6 +11,12 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
+from herding_ros.control.closed_loop import closed_loop
+from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.flock import distance, spread
+from herding_ros.model.simulation import World
+from herding_ros.nodes import messages
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
@@ -19,13 +25,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
-
-from herding_ros.control.closed_loop import closed_loop
-from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
-from herding_ros.model.crowd import Crowd
-from herding_ros.model.flock import distance, spread
-from herding_ros.model.simulation import World
-from herding_ros.nodes import messages
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FACTOR = 5.0

@@ -11,14 +11,6 @@ import signal
 import time
 from typing import Any
 
-import numpy as np
-import psutil
-import pytest
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import get_typestore, Stores
-from trajectory_msgs.msg import MultiDOFJointTrajectory
-
 from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.parameters import Control
 from herding_ros.model import fast_forces
@@ -28,6 +20,13 @@ from herding_ros.model.simulation import World
 from herding_ros.nodes import herd
 from herding_ros.nodes.signals import ENDING, note_signals
 from herding_ros.nodes.sim import SimSettings
+import numpy as np
+import psutil
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import get_typestore, Stores
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
 LARGE = 1600

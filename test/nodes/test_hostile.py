@@ -20,6 +20,12 @@ from typing import Any, NamedTuple
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
+from herding_ros.control.parameters import Control, Horizon, Mapping
+from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.state import HerdState
+from herding_ros.nodes import messages
+from herding_ros.nodes.refusals import Refused
 from nav_msgs.msg import Odometry
 import numpy as np
 import psutil
@@ -30,13 +36,6 @@ from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
-
-from herding_ros.control.parameters import Control, Horizon, Mapping
-from herding_ros.control.receding_horizon import RecedingHorizon
-from herding_ros.model.crowd import Crowd
-from herding_ros.model.state import HerdState
-from herding_ros.nodes import messages
-from herding_ros.nodes.refusals import Refused
 
 PERIOD = 0.0005
 """Time between two wrong messages [s]."""

@@ -9,8 +9,6 @@ from pathlib import Path
 import time
 from typing import Any
 
-import pytest
-
 from herding_ros.control.lead import lead_at
 from herding_ros.control.parameters import Control
 from herding_ros.model.simulation import World
@@ -25,6 +23,7 @@ from herding_ros.nodes.launch_plan import (
     real_dogs_arguments,
 )
 from herding_ros.nodes.settings import ControllerSettings, SimSettings
+import pytest
 
 ROOT = Path(__file__).parents[2]
 DECLARED: dict[str, Any] = {
@@ -194,9 +193,8 @@ def test_launch_file_takes_the_arguments_and_starts_the_nodes(name: str) -> None
 def test_all_end_with_the_first_and_say_whether_it_failed(first: str, code: int) -> None:
     launch = pytest.importorskip('launch', reason='launch comes with an installed ROS only')
     pytest.importorskip('launch_ros', reason='launch_ros comes with an installed ROS only')
-    from launch.actions import ExecuteProcess
-
     from herding_ros.nodes.launching import _end_together
+    from launch.actions import ExecuteProcess
 
     patient = 'trap "kill $!; exit 0" INT; sleep 60 & wait'
     nodes = [ExecuteProcess(cmd=['sh', '-c', does]) for does in (patient, first, patient)]

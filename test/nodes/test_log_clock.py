@@ -6,13 +6,12 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from mcap.reader import make_reader
-import pytest
-
 from herding_ros.bag.metadata import read_metadata
 from herding_ros.bag.writer import BagWriter
 from herding_ros.nodes.log_clock import rewritten
 from herding_ros.nodes.recorded_topics import NewTopic
+from mcap.reader import make_reader
+import pytest
 
 TOPIC = NewTopic('/a', 'std_msgs/msg/String', 'string data', [], 'RIHS01_0')
 MESSAGES = [b'%05d' % k * 2000 for k in range(12)]

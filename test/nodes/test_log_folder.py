@@ -7,9 +7,8 @@ import os
 from pathlib import Path
 import tempfile
 
-import pytest
-
 from herding_ros.nodes.middleware import find_log_folder
+import pytest
 
 
 @pytest.fixture(autouse=True)

@@ -26,6 +26,12 @@ from geometry_msgs.msg import (
     TwistStamped,
     Vector3,
 )
+from herding_ros.checks import check_goal, Refused
+from herding_ros.control.plan import Plan
+from herding_ros.nodes import messages
+from herding_ros.nodes import refusals as refusals_module
+from herding_ros.nodes.refusals import Refusals
+from herding_ros.nodes.wire import serialized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -38,13 +44,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
-
-from herding_ros.checks import check_goal, Refused
-from herding_ros.control.plan import Plan
-from herding_ros.nodes import messages
-from herding_ros.nodes import refusals as refusals_module
-from herding_ros.nodes.refusals import Refusals
-from herding_ros.nodes.wire import serialized
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MOST = 1000

@@ -9,6 +9,12 @@ from typing import Any
 from unittest.mock import Mock
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from herding_ros.nodes.herding_node import HerdingNode
+from herding_ros.nodes.inbox import Inbox
+from herding_ros.nodes.middleware import start_ros
+from herding_ros.nodes.mismatches import Mismatches, twist_type
+from herding_ros.nodes.publishing import ADJUSTABLE, EVERY_MESSAGE, is_heard
+from herding_ros.nodes.settings import NodeSettings
 from nav_msgs.msg import Path
 import pytest
 import rclpy
@@ -16,13 +22,6 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
-
-from herding_ros.nodes.herding_node import HerdingNode
-from herding_ros.nodes.inbox import Inbox
-from herding_ros.nodes.middleware import start_ros
-from herding_ros.nodes.mismatches import Mismatches, twist_type
-from herding_ros.nodes.publishing import ADJUSTABLE, EVERY_MESSAGE, is_heard
-from herding_ros.nodes.settings import NodeSettings
 
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

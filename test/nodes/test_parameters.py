@@ -11,22 +11,6 @@ import re
 from typing import Any
 
 from geometry_msgs.msg import TwistStamped
-from nav_msgs.msg import Odometry
-import numpy as np
-import pytest
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterDescriptor, ParameterType, ParameterValue
-from rcl_interfaces.srv import (
-    DescribeParameters,
-    GetParameters,
-    ListParameters,
-    SetParameters,
-    SetParametersAtomically,
-)
-import rclpy
-from rclpy.parameter import Parameter, parameter_value_to_python
-from sensor_msgs.msg import PointCloud2
-
 from herding_ros.control.parameters import Control, Weights
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.noise_field import NoiseField
@@ -42,6 +26,21 @@ from herding_ros.nodes.settings import (
     RecorderSettings,
     SimSettings,
 )
+from nav_msgs.msg import Odometry
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType, ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+import rclpy
+from rclpy.parameter import Parameter, parameter_value_to_python
+from sensor_msgs.msg import PointCloud2
 
 Field = dataclasses.Field[Any]
 

@@ -16,6 +16,11 @@ import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from herding_ros import __version__
+from herding_ros.bag.recovery import recover
+from herding_ros.nodes.middleware import start_ros
+from herding_ros.nodes.recorded_topics import NewTopic, RecordedTopics
+from herding_ros.nodes.recorder import Recorder
 from mcap.reader import make_reader
 import pytest
 import rclpy
@@ -30,12 +35,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
-
-from herding_ros import __version__
-from herding_ros.bag.recovery import recover
-from herding_ros.nodes.middleware import start_ros
-from herding_ros.nodes.recorded_topics import NewTopic, RecordedTopics
-from herding_ros.nodes.recorder import Recorder
 
 LIMIT = 30.0
 """No condition is waited for any longer [s]."""

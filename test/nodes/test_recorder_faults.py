@@ -19,6 +19,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from herding_ros.bag.inspection import inspect
 from mcap.reader import make_reader
 import numpy as np
 import pytest
@@ -30,8 +31,6 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker
 import yaml
-
-from herding_ros.bag.inspection import inspect
 
 NUMBERS = '/numbers'
 LOSS = 0.1

@@ -11,6 +11,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.simulation import Simulation, World
+from herding_ros.nodes import messages
+from herding_ros.nodes.pacing import CATCH_UP
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
@@ -23,11 +27,6 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
-
-from herding_ros.model.crowd import Crowd
-from herding_ros.model.simulation import Simulation, World
-from herding_ros.nodes import messages
-from herding_ros.nodes.pacing import CATCH_UP
 
 
 def flock(cloud: PointCloud2) -> tuple[np.ndarray, np.ndarray]:

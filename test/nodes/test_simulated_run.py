@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import World
 from herding_ros.nodes.simulated_run import SimulatedRun
+import numpy as np
+import pytest
 
 WORLD = World(sheep=3, dogs=2, seed=5)
 GOAL = np.array([0.5, 0.5])

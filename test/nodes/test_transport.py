@@ -13,13 +13,12 @@ import signal
 from typing import Any
 from xml.etree import ElementTree
 
+from herding_ros.nodes import middleware
+from herding_ros.nodes.middleware import start_ros
 import psutil
 import pytest
 from rclpy.context import Context
 from trajectory_msgs.msg import MultiDOFJointTrajectory
-
-from herding_ros.nodes import middleware
-from herding_ros.nodes.middleware import start_ros
 
 FOLDER = Path('/dev/shm')
 HALF_MADE = bytes(52_400)

@@ -10,17 +10,16 @@ import json
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-from matplotlib.image import imread
-import numpy as np
-import pytest
-from rich.console import Console
-
 from herding_ros.bag.recorded_run import RecordedRun, Replan, Topic
 from herding_ros.report import figures
 from herding_ros.report.cli import main, write_report
 from herding_ros.report.figures import save_trajectories
 from herding_ros.report.summary import summarise
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+import numpy as np
+import pytest
+from rich.console import Console
 
 NAN = float('nan')
 

@@ -3,10 +3,9 @@ from __future__ import annotations
 
 import math
 
+from herding_ros.report.statistics import Fraction, Mean, Median, Quartiles, significant
 import numpy as np
 import pytest
-
-from herding_ros.report.statistics import Fraction, Mean, Median, Quartiles, significant
 
 
 @pytest.mark.parametrize(

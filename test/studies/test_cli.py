@@ -12,16 +12,15 @@ import sys
 import time
 from typing import Any
 
-from matplotlib.figure import Figure
-import psutil
-import pytest
-
 from herding_ros.studies import cli
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.reproduction import FURTHER, STUDIES
 from herding_ros.studies.runner import work
 from herding_ros.studies.study import Options, Results
 from herding_ros.studies.task import Task
+from matplotlib.figure import Figure
+import psutil
+import pytest
 
 TASKS = 16
 """Number of tasks of `study symmetry --quick`."""

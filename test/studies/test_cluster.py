@@ -8,11 +8,10 @@ import importlib
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from herding_ros.studies import cli
 from herding_ros.studies.runner import compute, work
 from herding_ros.studies.task import Task
+import pytest
 
 
 @pytest.fixture(scope='module')

@@ -7,9 +7,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pytest
-
 from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.parameters import Control, Horizon, Mapping, PAPER
 from herding_ros.model.crowd import Crowd
@@ -19,6 +16,8 @@ from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.case import Case
 from herding_ros.studies.runs import PLAIN, settings_of
 from herding_ros.studies.study import Options, Results
+import numpy as np
+import pytest
 
 SHORT = Horizon(length=8.0, accepted=4.0)
 CONTROL = replace(PAPER, horizon=SHORT, mapping=Mapping(paths=20, max_iterations=2, tolerance=0.0))

@@ -5,13 +5,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-import pytest
-
 from herding_ros.studies import evacuation
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.study import Options, Results
 from herding_ros.studies.task import Task
+from matplotlib.figure import Figure
+import pytest
 
 FAST = {'reference.speed': 0.05}
 

@@ -3,12 +3,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-import pytest
-
 from herding_ros.control.closed_loop import ClosedLoopRun
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.measures import course, measures
+import numpy as np
+import pytest
 
 GOAL = np.array([0.5, 0.5])
 SMALL: dict[str, Any] = {'horizon.length': 8.0, 'horizon.accepted': 4.0, 'mapping.paths': 20}

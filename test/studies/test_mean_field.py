@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import numpy as np
-import pytest
-
 from herding_ros.control.parameters import Control
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import centre
@@ -14,6 +11,8 @@ from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.window import mirrored as mirrored_paths
 from herding_ros.studies.study import Options, Results
 from herding_ros.studies.task import Task
+import numpy as np
+import pytest
 
 HERD = {'dogs': 5, 'seed': 3}
 SMALL = {

@@ -6,9 +6,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pytest
-
 from herding_ros.control.closed_loop import as_policy, closed_loop
 from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
@@ -20,6 +17,8 @@ from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.herding import Watched
 from herding_ros.studies.runs import settings_of
 from herding_ros.studies.study import Options, Results
+import numpy as np
+import pytest
 
 GOAL = np.array([0.5, 0.5])
 SMALL = Control(horizon=Horizon(length=8.0, accepted=4.0), mapping=Mapping(paths=20))

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 from pathlib import Path
 
-import pytest
-
 from herding_ros.studies import sampling
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.sampling import COMPARED
 from herding_ros.studies.study import Options, Results
+import pytest
 
 
 def test_every_estimator_gets_there_and_they_agree() -> None:

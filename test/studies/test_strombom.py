@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-
 from herding_ros.model.state import Array, HerdState
 from herding_ros.studies.experiments.strombom import Strombom
+import numpy as np
+import pytest
 
 GOAL = np.array([2.0, 0.0])
 R = 0.2

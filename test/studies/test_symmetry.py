@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import distance
@@ -11,6 +8,8 @@ from herding_ros.model.scenario import GOAL
 from herding_ros.model.state import HerdState
 from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.symmetry import MOTIONS, symmetric_herd, velocities
+import numpy as np
+import pytest
 
 
 @pytest.mark.parametrize('motion', MOTIONS)

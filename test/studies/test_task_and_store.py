@@ -7,11 +7,10 @@ import math
 import os
 from pathlib import Path
 
-import pytest
-
 from herding_ros.studies import task as task_module
 from herding_ros.studies.store import Store
 from herding_ros.studies.task import bare, code, Task
+import pytest
 
 TASK = Task('symmetry', {'seed': 3, 'goal': (0.5, 1.0)}, cost=7.0)
 RESULT = {'drift': 0.1 + 0.2, 'path': [1.0, 2.5e-17]}

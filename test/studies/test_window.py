@@ -7,9 +7,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-import pytest
-
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control, Horizon, Optimiser, PAPER
@@ -21,6 +18,8 @@ from herding_ros.studies.experiments import EXPERIMENTS
 from herding_ros.studies.experiments.case import Case
 from herding_ros.studies.experiments.direct import pathwise_gradient
 from herding_ros.studies.runs import settings_of
+import numpy as np
+import pytest
 
 project = Holonomic().project
 

@@ -6,9 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 import math
 
-import numpy as np
-
 from herding_ros.model.state import Array, Trajectory
+import numpy as np
 
 from .cost import Cost
 

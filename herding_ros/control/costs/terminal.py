@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from herding_ros.model.state import Array, Trajectory
+import numpy as np
 
 from .cost import Derivatives
 from .tracking import Tracking

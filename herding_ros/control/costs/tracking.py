@@ -5,10 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from herding_ros.model.state import Array, Trajectory
 from herding_ros.model.tracking_cost import tracking_cost
+import numpy as np
 
 from .cost import Derivatives
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.state import Array
+import numpy as np
 
 _ROUND_OFF = 3.0 * np.finfo(np.float64).eps
 

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from herding_ros.model.jit import kernel
 from herding_ros.model.state import Array
+import numpy as np
 
 
 @kernel

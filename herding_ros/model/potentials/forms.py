@@ -6,12 +6,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from herding_ros.model.jit import exact, INLINED, inlined, kernel, OPTIONS
+from herding_ros.model.state import Array
 from numba import types
 from numba.extending import overload
 import numpy as np
-
-from herding_ros.model.jit import exact, INLINED, inlined, kernel, OPTIONS
-from herding_ros.model.state import Array
 
 MorseCoefficients = tuple[float, float, float, float]
 """(C_r / l_r, 1 / l_r, C_a / l_a, 1 / l_a) of a Morse potential."""

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.state import Array
+import numpy as np
 
 from .potential import Potential
 

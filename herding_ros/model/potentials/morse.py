@@ -6,10 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from herding_ros.model.parameters import quantity, TINY
 from herding_ros.model.state import Array
+import numpy as np
 
 from .potential import Potential
 

@@ -7,10 +7,9 @@ from abc import abstractmethod
 from functools import cache
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.state import Array
+import numpy as np
 
 if TYPE_CHECKING:
     from .forms import PotentialForm, Table

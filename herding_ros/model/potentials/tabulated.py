@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from herding_ros.model.state import Array, finite
+import numpy as np
 
 from .potential import Potential
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from herding_ros.checks import check_finite, check_frame, check_goal, check_size, Refused
 from herding_ros.model.state import Array
 from herding_ros.nodes.wire import Reader
 from herding_ros.point_cloud import points
+import numpy as np
+from numpy.typing import NDArray
 
 from .stamps import dog_frame, turned
 

@@ -8,15 +8,14 @@ from functools import lru_cache
 import math
 
 from geometry_msgs.msg import Quaternion, Transform, Twist, TwistStamped, Vector3
+from herding_ros.control.plan import Plan
+from herding_ros.model.state import Array
+from herding_ros.nodes.wire import Template
 from nav_msgs.msg import Odometry
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
-
-from herding_ros.control.plan import Plan
-from herding_ros.model.state import Array
-from herding_ros.nodes.wire import Template
 
 from .stamps import dog_frame, turned
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 
 from builtin_interfaces.msg import Time
-
 from herding_ros.model.state import Array
 from herding_ros.nodes.wire import seconds_and_rest
 

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from herding_ros.model.state import Array
 from nav_msgs.msg import Path
 import numpy as np
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
-
-from herding_ros.model.state import Array
 
 from .stamps import stamp_of
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.parameters import Control, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
@@ -20,6 +18,7 @@ from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import GOAL, initial_herd
 from herding_ros.model.state import Array, HerdState
+import numpy as np
 
 _AT_ONCE = 100
 """Number of paths whose noise is in memory at a time."""

@@ -6,8 +6,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.solution import Budget, Problem
 from herding_ros.control.spg import spg
@@ -15,6 +13,7 @@ from herding_ros.model.dynamics import reverse_sweep, rollout
 from herding_ros.model.flock import centre
 from herding_ros.model.noise import NoisePaths
 from herding_ros.model.state import Array
+import numpy as np
 
 from .case import Case
 

@@ -8,8 +8,6 @@ from dataclasses import replace
 import time
 from typing import Any
 
-import numpy as np
-
 from herding_ros.control.closed_loop import as_policy, play, Policy
 from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import Control, Mapping
@@ -19,6 +17,7 @@ from herding_ros.model.crowd import CROWDS
 from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
+import numpy as np
 
 from .measures import course, measures, plans, snapshots_at
 from .strombom import Strombom

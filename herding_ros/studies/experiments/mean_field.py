@@ -8,8 +8,6 @@ from dataclasses import replace
 import time
 from typing import Any, TypeVar
 
-import numpy as np
-
 from herding_ros.control.parameters import Control, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd
@@ -18,6 +16,7 @@ from herding_ros.model.flock import centre, spread
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.scenario import GOAL, initial_herd, PASTURE
 from herding_ros.model.state import Array, HerdState
+import numpy as np
 
 _DRIVE = (0.025, 0.025)
 """Velocity of all dogs in `convergence` [m/s]: straight to the goal."""

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import math
 from typing import Any
 
-import numpy as np
-
 from herding_ros.control.closed_loop import ClosedLoopRun
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.flock import centre, distance, spread
 from herding_ros.model.state import Array
+import numpy as np
 
 
 def measures(run: ClosedLoopRun, goal: Array, period: float) -> dict[str, Any]:

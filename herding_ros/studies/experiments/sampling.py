@@ -6,8 +6,6 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import numpy as np
-
 from herding_ros.control.parameters import PAPER
 from herding_ros.model.expectation import ExpectedCentre, Noise
 from herding_ros.model.sampling import (
@@ -19,6 +17,7 @@ from herding_ros.model.sampling import (
     Resolution,
 )
 from herding_ros.model.warmup import warm_up, warm_up_others
+import numpy as np
 
 from .case import Case
 

@@ -23,11 +23,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from scipy.optimize import linear_sum_assignment
-
 from herding_ros.model.flock import centre
 from herding_ros.model.state import Array, HerdState
+import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 
 @dataclass

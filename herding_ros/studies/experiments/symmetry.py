@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import distance
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.state import Array, HerdState
+import numpy as np
 
 MOTIONS = ('stand', 'breathe', 'circle', 'both')
 """Motions of pairs of dogs: none, along their diameter, round the goal, or both at once."""

@@ -8,8 +8,6 @@ from functools import partial
 import math
 from typing import Any
 
-import numpy as np
-
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
@@ -17,6 +15,7 @@ from herding_ros.control.receding_horizon import OPTIMISERS
 from herding_ros.control.solution import Budget, Problem, Solution
 from herding_ros.control.space_mapping import aggressive_mapping, MappingProblem
 from herding_ros.model.state import Array
+import numpy as np
 
 from .case import Case
 

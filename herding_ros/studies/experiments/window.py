@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import centre
 from herding_ros.model.kernels import PATHS
 from herding_ros.model.noise import NoisePaths
 from herding_ros.model.state import Array
+import numpy as np
 
 from .case import Case
 from .variant import extraction

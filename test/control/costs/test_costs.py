@@ -5,9 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
 
-import numpy as np
-import pytest
-
 from herding_ros.control.costs.check import taylor_orders
 from herding_ros.control.costs.containment import Containment
 from herding_ros.control.costs.control_effort import ControlEffort
@@ -20,6 +17,8 @@ from herding_ros.control.parameters import Weights
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.state import Array, HerdState, Trajectory
+import numpy as np
+import pytest
 
 HerdMaker = Callable[..., HerdState]
 Played = tuple[Trajectory, Array]

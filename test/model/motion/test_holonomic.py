@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
+from herding_ros.model.motion import Holonomic
+from herding_ros.model.state import Array
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-
-from herding_ros.model.motion import Holonomic
-from herding_ros.model.state import Array
 
 project = Holonomic().project
 

@@ -2,12 +2,11 @@
 from decimal import Decimal, getcontext
 import math
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import CROWDS
 from herding_ros.model.potentials import forms, Morse
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 POTENTIALS = [each for crowd in CROWDS.values() for each in (crowd.sheep, crowd.dog)]
 DISTANCES = (1e-4, 3e-3, 1e-2, 0.07, 0.5, 2.0, 9.0)

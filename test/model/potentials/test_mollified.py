@@ -4,11 +4,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 import math
 
-import numpy as np
-import pytest
-
 from herding_ros.model.potentials import forms, Mollified, Morse, Potential, PowerLaw
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 
 @dataclass(frozen=True)

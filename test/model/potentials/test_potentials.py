@@ -3,13 +3,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 import re
 
-import numpy as np
-import pytest
-
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import forces
 from herding_ros.model.potentials import forms, Morse, Potential, PowerLaw, Tabulated
 from herding_ros.model.state import Array
+import numpy as np
+import pytest
 
 _R = np.linspace(0.0, 2.0, 60)
 POTENTIALS = [
