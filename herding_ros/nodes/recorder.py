@@ -15,6 +15,7 @@ import sys
 import time
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from herding_ros import __version__
 from herding_ros.bag.metadata import advice
@@ -39,6 +40,7 @@ from .refusals import Refused
 from .settings import RecorderSettings
 from .signals import ignore_signals, note_signals, Noted
 from .tap import Received
+from .wire import seconds_and_rest
 
 TAKE_PERIOD = 0.02
 """Time between two rounds over the subscriptions [s]."""
@@ -305,7 +307,9 @@ class Recorder(HerdingNode):
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
+        # A stranger's clock may show times that fit into no stamp.
+        sec, nanosec = seconds_and_rest(self.get_clock().now().nanoseconds)
+        message.header.stamp = Time(sec=sec, nanosec=nanosec)
         self._diagnostics.publish(message)
 
 
