@@ -203,11 +203,11 @@ def test_rows_of_a_cloud_may_be_padded(run_recorder: Any, tmp_path: Path) -> Non
             data=np.array([1, 2, 99, 3, 4, 99], '<f4').view(np.uint8),
         )  # fmt: skip
     np.testing.assert_array_equal(points(cloud)['x'], [1, 2, 3, 4])
-    cloud.data = cloud.data[:20]
-    with pytest.raises(ValueError, match=r'2 rows of 12 bytes, .* got 20 bytes'):
-        points(cloud)
     field.datatype = 99
     with pytest.raises(ValueError, match=r"'x' .* datatype from 1 to 8, got 99"):
+        points(cloud)
+    cloud.data = cloud.data[:20]
+    with pytest.raises(ValueError, match=r'2 rows of 12 bytes, .* got 20 bytes'):
         points(cloud)
 
 

@@ -276,7 +276,7 @@ def test_signal_while_solving_ends_at_once(
     number: int, lockstep: bool, start: Callable[..., Any], peer: Any, herd: HerdState
 ) -> None:
     process = start(
-        'controller', dogs=2, lockstep=lockstep, lead=1000.0, mapping__paths=1000,
+        'controller', dogs=2, lockstep=lockstep, lead=150.0, mapping__paths=1000,
         mapping__tolerance=0.0, mapping__max_iterations=1000, mapping__standard_error=0.0,
     )  # fmt: skip
     pasture = Pasture(peer, herd)
