@@ -8,6 +8,7 @@ import json
 import os
 from pathlib import Path
 import subprocess
+import sys
 from typing import Any
 
 from herding_ros.bag.writer import BagWriter
@@ -16,6 +17,11 @@ from hypothesis import settings
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
+
+# colcon tells Python to keep no compiled modules, and then each process compiles NumPy, SciPy and
+# Numba anew.
+os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
+sys.dont_write_bytecode = False
 
 settings.register_profile(
     'repeatable', database=None, deadline=None, derandomize=True, max_examples=20
