@@ -21,6 +21,12 @@ from typing import Any
 INTERRUPTED = 130
 """Exit code of a program that a signal has ended before its work was done."""
 
+SHARED_MEMORY = 64 * 1024
+"""Room that a program with other processes needs in /dev/shm [byte].
+
+Without any, LTTng, which rclpy loads, ends the process by SIGBUS, without a word.
+"""
+
 _UNREAD = (errno.EPIPE, errno.EIO)
 
 
@@ -39,6 +45,14 @@ def _run(
     gc.disable()  # to look for garbage in what is being loaded takes a tenth of the time
     if help_module is not None:
         import_module(f'herding_ros.{help_module}').answer_help(name)
+    free = _free_shared_memory()
+    if module.startswith(('nodes.', 'studies.')) and free < SHARED_MEMORY:
+        print(
+            f'{name}: /dev/shm must have {SHARED_MEMORY} bytes free, got {free}: '
+            'remove what fills it',
+            file=sys.stderr,
+        )
+        return 2
     main = import_module(f'herding_ros.{module}').main
     gc.enable()
     for number, handler in before.items():
@@ -48,6 +62,15 @@ def _run(
     except KeyboardInterrupt:
         print(f'{name}: interrupted', file=sys.stderr)
         return interrupted
+
+
+def _free_shared_memory() -> int:
+    """Return the free bytes in /dev/shm; enough where there is no such folder."""
+    try:
+        disk = os.statvfs('/dev/shm')
+    except OSError:
+        return SHARED_MEMORY
+    return disk.f_bavail * disk.f_frsize
 
 
 def _leave(name: str, code: int, *_: Any) -> None:

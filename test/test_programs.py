@@ -10,6 +10,8 @@ import re
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 from herding_ros import programs
 import pytest
@@ -67,6 +69,26 @@ def test_a_signal_while_loading_ends_a_program_in_a_line(
         f'programs.{name}()'
     )
     assert python(program) == (code, '', f'{name}: interrupted while loading\n')
+
+
+@pytest.mark.parametrize(
+    ('name', 'needs_room'), [('sim', True), ('study', True), ('recover', False)]
+)
+def test_a_full_dev_shm_is_an_error_before_anything_is_loaded(
+    name: str,
+    needs_room: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Else LTTng, below rclpy, would end the process by SIGBUS."""
+    full = SimpleNamespace(f_bavail=15, f_frsize=4096)
+    monkeypatch.setattr(os, 'statvfs', lambda path: full if path == '/dev/shm' else None)
+    monkeypatch.setattr(programs, 'guard_output', lambda: None)
+    monkeypatch.setattr(programs, 'import_module', Mock(return_value=Mock(main=lambda: 0)))
+    assert getattr(programs, name)() == (2 if needs_room else 0)
+    errors = capsys.readouterr().err
+    said = f'{name}: /dev/shm must have 65536 bytes free, got 61440: remove what fills it\n'
+    assert errors == (said if needs_room else '')
 
 
 def test_ctrl_c_at_work_is_a_line_too() -> None:
