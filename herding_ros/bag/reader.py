@@ -23,7 +23,7 @@ import numpy as np
 from .conversion import Flock, read_message
 from .inspection import inspect
 from .metadata import advice, file_names, read_metadata, string_map
-from .notes import counted, Notes
+from .notes import counted, Notes, printable
 from .recorded_run import Array, RecordedRun, Replan
 from .run_topics import ROOT_GOAL, RunTopics
 from .stored import STORAGES, Stored, stored_messages, stored_topics
@@ -59,7 +59,7 @@ def read_run(path: str | os.PathLike[str], namespace: str | None = None) -> Reco
         names = RunTopics.choose(topics, namespace, notes)
         series = _series(stored_messages(files, storage, names.types), names, notes)
     except ValueError as error:
-        raise ValueError(f'the bag {folder} cannot be read: {error}') from error
+        raise ValueError(f'the bag {folder} cannot be read: {printable(str(error))}') from error
 
     if not series[names.sheep]:
         raise ValueError(
