@@ -393,12 +393,13 @@ def test_controller_in_real_time(start: Callable[..., Any], peer: Any) -> None:
     # Good ones among them: the controller does its work.
     storm.beat = show
     storm.blow(wrong_observations(forger, BATCH, now))
-    storm.wait_until(lambda: all(len(heard) > 20 for heard in commands))
+    # Until a plan is ready, dogs are told to stand: the clock may have gone back just now.
+    storm.wait_until(lambda: all(any(map(speed, heard)) for heard in commands))
     for kind in GOALS:
         storm.wait_until(lambda kind=kind: f'goal_pose: {kind}' in storm.counted())  # type: ignore[misc]
     for heard in commands:
         speeds = [speed(message) for message in heard]
-        assert 0.0 < max(speeds) <= 0.05 * (1 + 1e-9)
+        assert max(speeds) <= 0.05 * (1 + 1e-9)
     memory = storm.memory()
     storm.blow(wrong_observations(forger, BATCH, now))
 
