@@ -7,6 +7,7 @@ that imports and kernels are there when `main` begins.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib import import_module
 from multiprocessing import forkserver, get_context
 import os
@@ -43,7 +44,8 @@ class Forked:
 
     def send_signal(self, number: int) -> None:
         if self.poll() is None:
-            os.kill(self.pid, number)
+            with suppress(ProcessLookupError):  # it has ended, which is known a moment later
+                os.kill(self.pid, number)
 
     def terminate(self) -> None:
         self.send_signal(signal.SIGTERM)
