@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 import shutil
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
@@ -50,6 +50,23 @@ _CHANNEL = 15 + 10
 
 _END = 4096
 """What completes a file of no messages and no topics."""
+
+
+class NewTopic(NamedTuple):
+    """A topic to be recorded.
+
+    type_name: of the form package/msg/Type; definition: its own with those of the types it uses
+    (see `definitions.message_definition`); type_hash: of the form RIHS01_<hexadecimal digits>;
+    qos_profiles: one map for each publisher, with the keys history, depth, reliability,
+    durability, deadline, lifespan, liveliness, liveliness_lease_duration (the policies by their
+    names in small letters, the durations as {sec, nsec}) and avoid_ros_namespace_conventions.
+    """
+
+    name: str
+    type_name: str
+    definition: str
+    qos_profiles: Sequence[Mapping[str, Any]]
+    type_hash: str
 
 
 class BagWriter:
@@ -94,7 +111,7 @@ class BagWriter:
         self._custom_data = dict(custom_data or {})
         self._max_size = max_size
         self._max_duration_ns = max_duration_ns
-        self._topics: dict[str, tuple[Any, ...]] = {}  # what `add_topic` was given, by name
+        self._topics: dict[str, NewTopic] = {}  # by name
         self._files: list[FileInformation] = []  # the last one is that of the open part
         self._earlier_size = 0  # of the files before the open one
         self._closed = False
@@ -126,6 +143,11 @@ class BagWriter:
         return len(self._files)
 
     @property
+    def added_topics(self) -> tuple[NewTopic, ...]:
+        """What was added, in that order."""
+        return tuple(self._topics.values())
+
+    @property
     def topics(self) -> dict[str, int]:
         """Number of messages written, by topic."""
         return dict(total_counts(self._files))
@@ -138,21 +160,14 @@ class BagWriter:
         qos_profiles: Sequence[Mapping[str, Any]],
         type_hash: str,
     ) -> None:
-        """Add a topic, before its first message.
-
-        `type_name` is of the form package/msg/Type, `definition` its own with those of the
-        types it uses (see `definitions.message_definition`), `type_hash` of the form
-        RIHS01_<hexadecimal digits>. `qos_profiles` are one map for each publisher, with the keys
-        history, depth, reliability, durability, deadline, lifespan, liveliness,
-        liveliness_lease_duration (the policies by their names in small letters, the durations as
-        {sec, nsec}) and avoid_ros_namespace_conventions.
+        """Add a topic, before its first message; what is given is that of `NewTopic`.
 
         Raises ValueError when the topic is there already, OSError when the disk refuses.
         """
         if name in self._topics:
             raise ValueError(f'topic {name!r} is in the bag {self.path} already')
-        topic = name, type_name, definition, qos_profiles, type_hash
-        self._part.add_topic(*topic)
+        topic = NewTopic(name, type_name, definition, qos_profiles, type_hash)
+        self._part.add_topic(topic)
         self._topics[name] = topic
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
@@ -205,7 +220,7 @@ class BagWriter:
         self._part = part
         self._files.append(part.information)
         for topic in self._topics.values():
-            part.add_topic(*topic)
+            part.add_topic(topic)
         if self._custom_data:
             part.write_metadata(to_yaml(self._bag_map()))
 
@@ -257,15 +272,9 @@ class _File:
         """Size of the file [byte]; until it is finished, without what completes it."""
         return self._written + self._chunk
 
-    def add_topic(
-        self,
-        name: str,
-        type_name: str,
-        definition: str,
-        qos_profiles: Sequence[Mapping[str, Any]],
-        type_hash: str,
-    ) -> None:
+    def add_topic(self, topic: NewTopic) -> None:
         """Add a topic, see `BagWriter.add_topic`."""
+        name, type_name, definition, qos_profiles, type_hash = topic
         profiles = to_yaml([dict(profile) for profile in qos_profiles])
         # Twice here, and twice more in the bag's metadata, which are in the file and beside it.
         size = len(definition.encode()) + 2 * len(profiles) + len(name + type_name) + 512

@@ -45,7 +45,7 @@ def gauss_newton(
     """
     project, inner = regulariser.project, regulariser.inner
     u = project(start)
-    r, s = residual(u), linearise(u)
+    r, s, at = residual(u), linearise(u), u
     value = _square(r) + regulariser.value_and_gradient(u)[0]
     inner_budget = Budget(_MAX_INNER_ITERATIONS, _INNER_TOLERANCE, budget.out_of_time)
     status = Status.ITERATION_LIMIT
@@ -55,7 +55,8 @@ def gauss_newton(
             status = Status.OUT_OF_TIME
             break
         iterations += 1
-        s = linearise(u)
+        if at is not u:
+            s, at = linearise(u), u
         model = _linear_model(r, s, u, regulariser.value_and_gradient)
         trial = spg(replace(regulariser, value_and_gradient=model), u, inner_budget).u
         trial_residual = residual(trial)
@@ -68,7 +69,7 @@ def gauss_newton(
         if math.sqrt(inner(step, step)) <= budget.tolerance:
             status = Status.CONVERGED
             break
-    if status is not Status.OUT_OF_TIME:
+    if at is not u and status is not Status.OUT_OF_TIME:
         s = linearise(u)  # else the last one has to do
     gradient = s.transposed(r) + regulariser.value_and_gradient(u)[1]
     distance = criticality(regulariser, u, gradient)

@@ -22,7 +22,7 @@ def find_cache() -> None:
     copy of its kernels: in the user's cache folder, or without one in a temporary folder.
     NUMBA_CACHE_DIR is respected.
     """
-    if 'NUMBA_CACHE_DIR' in os.environ or _is_writable(_PACKAGE / 'model' / '__pycache__'):
+    if 'NUMBA_CACHE_DIR' in os.environ or is_writable(_PACKAGE / 'model' / '__pycache__'):
         return
     for base in _places():
         try:
@@ -38,9 +38,10 @@ def find_cache() -> None:
     os.environ['NUMBA_CACHE_DIR'] = tempfile.mkdtemp(prefix='herding_ros-')
 
 
-def _is_writable(folder: Path) -> bool:
+def is_writable(folder: Path) -> bool:
+    """Whether files can be written into a folder, which is made if it is not there."""
     try:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError:
         return False
@@ -78,6 +79,6 @@ def _copy_into(base: Path) -> Path:
             shutil.rmtree(copy)
             if not folder.is_dir():
                 raise
-    if not _is_writable(folder):
+    if not is_writable(folder):
         raise PermissionError(f'{folder} must be writable')
     return folder

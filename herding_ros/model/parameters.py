@@ -127,7 +127,7 @@ def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
 def _convert(value: Any, like: Any) -> Any:
     """Return value with the type of `like`; None if that would change its meaning."""
     if isinstance(like, tuple):
-        if like and isinstance(like[0], str):  # any number of strings
+        if _are_strings(like):
             is_strings = isinstance(value, list | tuple) and all(type(v) is str for v in value)
             return tuple(value) if is_strings else None
         if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray | array.array):
@@ -145,7 +145,7 @@ def _within(value: Any, field: dataclasses.Field[Any]) -> bool:
     low, high, choices = (field.metadata[key] for key in ('low', 'high', 'choices'))
     if isinstance(value, (bool, str)):
         return not choices or value in choices
-    if isinstance(field.default, tuple) and isinstance(field.default[0], str):
+    if _are_strings(field.default):
         return True
     return all(
         math.isfinite(number)
@@ -155,13 +155,17 @@ def _within(value: Any, field: dataclasses.Field[Any]) -> bool:
     )
 
 
+def _are_strings(default: object) -> bool:
+    """Whether a field takes any number of strings."""
+    return isinstance(default, tuple) and bool(default) and isinstance(default[0], str)
+
+
 def describe_limits(field: dataclasses.Field[Any]) -> str:
     """Return in words what a field must be, for error messages and parameter tables."""
     if field.metadata['choices']:
         return ' or '.join(field.metadata['choices'])
     if isinstance(field.default, tuple):
-        is_strings = isinstance(field.default[0], str)
-        kind = 'strings' if is_strings else f'{len(field.default)} numbers'
+        kind = 'strings' if _are_strings(field.default) else f'{len(field.default)} numbers'
     else:
         kinds = {float: 'a number', int: 'an integer', bool: 'true or false', str: 'a string'}
         kind = kinds[type(field.default)]

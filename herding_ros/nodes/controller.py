@@ -52,10 +52,10 @@ _STATE_PERIOD = 1.0
 """Wall time between two messages on /diagnostics about the node itself [s]."""
 
 _LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Room for what a slow subscriber has not received yet; a late one gets all that is in it."""
 
 _NEWEST = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Those who come late get one message: a goal before the last one is not in force."""
-"""Room for what a slow subscriber has not received yet; a late one gets all that is in it."""
 
 
 class Controller(HerdingNode):
@@ -243,16 +243,15 @@ class Controller(HerdingNode):
         """Say what the node is doing, and what has gone wrong so far."""
         now, pilot = self._now(), self._pilot
         condition = pilot.condition(now * 1e-9)
+        mismatched = self._mismatches.report_values()
         values = {
             'dogs_silent': ' '.join(pilot.silent_dogs),
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
             **self._refused.report_values(),
-            **self._mismatches.report_values(),
+            **mismatched,
         }
-        good = condition.good and not (
-            pilot.plans_failed or self._refused.counts or self._mismatches.report_values()
-        )
+        good = condition.good and not (pilot.plans_failed or self._refused.counts or mismatched)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         self._diagnostics.publish(
             messages.diagnostics(self.status_name('state'), now, level, condition.doing, values)

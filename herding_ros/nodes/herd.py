@@ -15,6 +15,7 @@ import time
 from herding_ros.control.lead import FASTEST, lead_at, SLOWEST
 from herding_ros.model.parameters import LARGE, TINY
 from herding_ros.model.scenario import GOAL, MOST_DOGS, MOST_SHEEP
+from herding_ros.programs import INTERRUPTED
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rich.console import Console
@@ -24,7 +25,7 @@ from .progress import ProgressLine, Watcher
 from .signals import note_signals, Noted
 from .supervision import Child
 
-_ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED, _INTERRUPTED = 0, 1, 2, 3, 130
+_ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED = 0, 1, 2, 3
 
 _FOR_PARAMETERS = 30.0
 """Longest time after a run in which the recorder may receive the nodes' parameters [s]."""
@@ -160,7 +161,7 @@ def _watch(children: list[Child], watcher: Watcher, interrupted: Noted, console:
         return _CHILD_DIED
     if not watcher.finished:
         console.print('interrupted: closing the bag')
-        return _INTERRUPTED
+        return INTERRUPTED
     if not watcher.parameters_recorded:
         console.print('the bag lacks the parameters of the nodes', style='red')
     if not watcher.arrived:

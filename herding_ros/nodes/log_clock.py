@@ -11,7 +11,6 @@ from tempfile import mkdtemp
 from herding_ros.bag.writer import BagWriter, LAST_TIME_NS
 from mcap.reader import make_reader
 
-from .recorded_topics import NewTopic
 from .refusals import Refused
 from .wire import Reader
 
@@ -47,9 +46,7 @@ class LogClock:
         return self._time_ns if self.is_known else receive_ns
 
 
-def rewritten(
-    bag: BagWriter, create: Callable[[], BagWriter], topics: Iterable[NewTopic], log_ns: int
-) -> BagWriter:
+def rewritten(bag: BagWriter, create: Callable[[], BagWriter], log_ns: int) -> BagWriter:
     """Return a bag by `create` in place of one, with the same messages at another log time [ns].
 
     Meanwhile the old one, complete, is beside it as `<name>.before_clock_<letters>`; a kill leaves
@@ -60,7 +57,7 @@ def rewritten(
     bag.path.rename(early)
     try:
         new = create()
-        for topic in topics:
+        for topic in bag.added_topics:
             new.add_topic(*topic)
         files = [early / f'{bag.path.name}_{k}.mcap' for k in range(bag.file_count)]
         for name, data, publish_ns in _messages(files):

@@ -11,6 +11,7 @@ import sys
 import tempfile
 from typing import Any
 
+from herding_ros.model.kernel_cache import is_writable
 import rclpy
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
@@ -50,13 +51,8 @@ def find_log_folder() -> None:
     if os.environ.get('ROS_LOG_DIR'):
         return
     home = os.environ.get('ROS_HOME') or os.path.join(os.environ.get('HOME', ''), '.ros')
-    folder = Path(home).expanduser() / 'log'
-    try:
-        if not folder.is_absolute():
-            raise FileNotFoundError
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except (OSError, RuntimeError):
+    folder = Path(os.path.expanduser(home), 'log')  # ~ is left as it is for who has no home
+    if not (folder.is_absolute() and is_writable(folder)):
         os.environ['ROS_LOG_DIR'] = tempfile.mkdtemp(prefix='ros_log-')
         print(
             f'the logs of ROS go to {os.environ["ROS_LOG_DIR"]}, since {folder} cannot be '

@@ -57,16 +57,21 @@ def flush(node: Node) -> None:
         publisher.wait_for_all_acked(Duration(nanoseconds=int(remaining * 1e9)))
 
 
+def full_name(namespace: str, name: str) -> str:
+    """Return the full name of what has a name in a namespace; the root is '/'."""
+    return f'{namespace.rstrip("/")}/{name}'
+
+
 def node_of(endpoint: TopicEndpointInfo) -> str:
     """Return the full name of an endpoint's node; '' for one just discovered, without a name."""
     if endpoint.node_name == '_NODE_NAME_UNKNOWN_':
         return ''
-    return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
+    return full_name(endpoint.node_namespace, endpoint.node_name)
 
 
 def full_node_name(node: Node, name: str) -> str:
     """Return the full name of a node that stands in the namespace of `node`, unless it is full."""
-    return name if name.startswith('/') else f'{node.get_namespace().rstrip("/")}/{name}'
+    return name if name.startswith('/') else full_name(node.get_namespace(), name)
 
 
 def is_heard(node: Node, publishers: Iterable[Publisher], listener: str) -> bool:

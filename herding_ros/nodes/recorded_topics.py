@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from operator import attrgetter
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 from herding_ros.bag.definitions import message_definition
+from herding_ros.bag.writer import NewTopic
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -31,16 +32,6 @@ OVERLAP = 1.0
 
 _MOST_SEEN = 1000
 """Messages that are remembered, since they may come again, while no publisher is known."""
-
-
-class NewTopic(NamedTuple):
-    """A topic that is recorded from now on, as `BagWriter.add_topic` takes it."""
-
-    name: str
-    type_name: str
-    definition: str
-    qos_profiles: Sequence[dict[str, Any]]
-    type_hash: str
 
 
 class RecordedTopics:

@@ -19,7 +19,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from herding_ros import __version__
 from herding_ros.bag.metadata import advice
-from herding_ros.bag.writer import BagWriter
+from herding_ros.bag.writer import BagWriter, NewTopic
 import rclpy
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.exceptions import ParameterException
@@ -34,8 +34,8 @@ from .middleware import start_ros
 from .mismatches import Mismatches
 from .parameter_query import ParameterQuery
 from .parameters import declare
-from .publishing import CLOCK, CountingPublisher, EVERY_MESSAGE
-from .recorded_topics import NewTopic, RecordedTopics
+from .publishing import CLOCK, CountingPublisher, EVERY_MESSAGE, full_name
+from .recorded_topics import RecordedTopics
 from .refusals import Refused
 from .settings import RecorderSettings
 from .signals import ignore_signals, note_signals, Noted
@@ -94,7 +94,6 @@ class Recorder(HerdingNode):
         self._log_clock = LogClock()
         self._bytes = 0
         self._lost = 0
-        self._added: list[NewTopic] = []
         self._begun = time.monotonic()
         self._is_clock_missed = False
         self._paused = False
@@ -186,19 +185,19 @@ class Recorder(HerdingNode):
     def _search_graph(self) -> None:
         self._topics.discover()
         present = {
-            full_name
+            node
             for name, namespace in self.get_node_names_and_namespaces()
-            if self._is_within(full_name := f'{namespace.rstrip("/")}/{name}')
+            if self._is_within(node := full_name(namespace, name))
         }
-        for full_name in present - self._parameters_of.keys() - self._queries.keys():
-            self._queries[full_name] = ParameterQuery(self, full_name)
-        for full_name in self._queries.keys() - present:
-            self._queries.pop(full_name).destroy()
-        for full_name, query in list(self._queries.items()):
+        for node in present - self._parameters_of.keys() - self._queries.keys():
+            self._queries[node] = ParameterQuery(self, node)
+        for node in self._queries.keys() - present:
+            self._queries.pop(node).destroy()
+        for node, query in list(self._queries.items()):
             query.advance()
             if query.values is not None:
-                self._parameters_of[full_name] = query.values
-                self._queries.pop(full_name).destroy()
+                self._parameters_of[node] = query.values
+                self._queries.pop(node).destroy()
                 self._keep_custom_data()
 
     def _is_wanted(self, topic: str) -> bool:
@@ -209,7 +208,7 @@ class Recorder(HerdingNode):
 
     def _is_within(self, name: str) -> bool:
         """Whether a topic or node is in this node's namespace, or in one below it."""
-        return name.startswith(f'{self.get_namespace().rstrip("/")}/')
+        return name.startswith(full_name(self.get_namespace(), ''))
 
     @property
     def _in_simulation(self) -> bool:
@@ -242,7 +241,6 @@ class Recorder(HerdingNode):
             self._keep_custom_data()
 
     def _add_topic(self, topic: NewTopic) -> None:
-        self._added.append(topic)
         self._attempt(lambda: self.bag.add_topic(*topic))
 
     def _write(self, received: list[Received]) -> None:
@@ -279,7 +277,7 @@ class Recorder(HerdingNode):
             return
         if is_first and self.bag.message_count:
             log_ns = self._log_clock.log_time(message.receive_ns)
-            self.bag = rewritten(self.bag, self._create_bag, self._added, log_ns)
+            self.bag = rewritten(self.bag, self._create_bag, log_ns)
 
     def _publish_diagnostics(self) -> None:
         self._count_lost()

@@ -207,6 +207,7 @@ class Sim(HerdingNode):
     def _publish_diagnostics(self) -> None:
         simulation, goal = self._run.simulation, self._run.goal
         skipped = 0 if self._pace is None else self._pace.skipped
+        mismatched = self._mismatches.report_values()
         values: dict[str, object] = {
             'time_s': simulation.nanoseconds * 1e-9,
             'distance_m': float(distance(simulation.state.x, goal)),
@@ -216,9 +217,9 @@ class Sim(HerdingNode):
             'outcome': self._run.outcome,
             'periods_skipped': skipped,
             **self._refused.report_values(),
-            **self._mismatches.report_values(),
+            **mismatched,
         }
-        good = not (self._refused.counts or self._mismatches.report_values() or skipped)
+        good = not (self._refused.counts or mismatched or skipped)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(

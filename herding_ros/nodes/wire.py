@@ -10,7 +10,9 @@ other of its kind but for the stamp and the numbers.
 from __future__ import annotations
 
 import array
+from collections.abc import Callable
 from functools import lru_cache
+from operator import attrgetter
 import struct
 from typing import Any
 
@@ -89,8 +91,13 @@ def _append(data: bytearray, value: Any, kind: str) -> None:
             for each in value:
                 _append(data, each, kind)
     else:
-        kind_of_value: Any = type(value)
-        for name, kind in _fields(kind_of_value):
+        message_type: Any = type(value)
+        doubles = _doubles(message_type)
+        if doubles is not None:  # points and the like, of which there are thousands
+            _align(data, 8)
+            data += doubles(value)
+            return
+        for name, kind in _fields(message_type):
             _append(data, getattr(value, name), kind)
 
 
@@ -102,6 +109,17 @@ def _align(data: bytearray, size: int) -> None:
 def _fields(message_type: Any) -> tuple[tuple[str, str], ...]:
     """Return name and type of the fields of a message."""
     return tuple(message_type.get_fields_and_field_types().items())
+
+
+@lru_cache(maxsize=100)
+def _doubles(message_type: Any) -> Callable[[Any], bytes] | None:
+    """Return what packs a message of two or more doubles alone; None for other types."""
+    fields = _fields(message_type)
+    if len(fields) < 2 or any(kind != 'double' for _, kind in fields):
+        return None
+    numbers = attrgetter(*(name for name, _ in fields))
+    pack = struct.Struct(f'<{len(fields)}d').pack
+    return lambda message: pack(*numbers(message))
 
 
 def type_name(message_type: Any) -> str:

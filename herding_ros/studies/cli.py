@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 
+from herding_ros.programs import INTERRUPTED
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -20,7 +21,7 @@ from .store import Store
 from .study import Options, Results
 from .task import Task
 
-_DONE, _FAILED, _BAD_ARGUMENTS, _INTERRUPTED = 0, 1, 2, 130
+_DONE, _FAILED, _BAD_ARGUMENTS = 0, 1, 2
 _LINE_EVERY = 10.0
 """Time between two lines of progress without a terminal [s]."""
 
@@ -116,7 +117,7 @@ def main(args: list[str] | None = None) -> int:
         _write(given.name, tasks_of, store, given.out, console)
     except KeyboardInterrupt:
         console.print('interrupted; all results so far are stored, and the same command resumes')
-        return _INTERRUPTED
+        return INTERRUPTED
     except (OSError, RuntimeError) as error:
         print(f'study: {error}', file=sys.stderr)
         return _BAD_ARGUMENTS if isinstance(error, OSError) else _FAILED

@@ -23,11 +23,11 @@ def read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     cache.mkdir(parents=True)
     (cache / 'kernels.step-1.py311.nbi').write_bytes(b'index')
     (cache / 'kernels.step-1.py311.1.nbc').write_bytes(b'code')
-    before = kernel_cache._is_writable
+    before = kernel_cache.is_writable
     monkeypatch.setattr(kernel_cache, '_PACKAGE', package)
     monkeypatch.setattr(
         kernel_cache,
-        '_is_writable',
+        'is_writable',
         lambda folder: package not in folder.parents and before(folder),
     )
     monkeypatch.setattr(kernel_cache.tempfile, 'tempdir', str(tmp_path))

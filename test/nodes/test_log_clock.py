@@ -7,9 +7,8 @@ from functools import partial
 from pathlib import Path
 
 from herding_ros.bag.metadata import read_metadata
-from herding_ros.bag.writer import BagWriter
+from herding_ros.bag.writer import BagWriter, NewTopic
 from herding_ros.nodes.log_clock import rewritten
-from herding_ros.nodes.recorded_topics import NewTopic
 from mcap.reader import make_reader
 import pytest
 
@@ -38,7 +37,7 @@ def messages_in(folder: Path) -> list[tuple[bytes, int, int]]:
 def test_messages_before_the_clock_get_its_first_time(tmp_path: Path) -> None:
     early = bag_of_several_files(tmp_path / 'bag')
     assert early.file_count > 3
-    bag = rewritten(early, partial(BagWriter, tmp_path / 'bag', {'key': 'value'}), [TOPIC], 5)
+    bag = rewritten(early, partial(BagWriter, tmp_path / 'bag', {'key': 'value'}), 5)
     bag.write('/a', b'later', 7, 10**18 + 99)
     bag.close()
     expected = [(data, 5, 10**18 + k) for k, data in enumerate(MESSAGES)]
@@ -55,6 +54,6 @@ def test_disk_that_refuses_the_new_bag_leaves_the_old_one(tmp_path: Path) -> Non
         raise OSError('the disk is full')
 
     with pytest.raises(OSError, match='full'):
-        rewritten(early, refuse, [TOPIC], 5)
+        rewritten(early, refuse, 5)
     assert [data for data, _, _ in messages_in(tmp_path / 'bag')] == MESSAGES
     assert [path.name for path in tmp_path.iterdir()] == ['bag']
