@@ -157,7 +157,7 @@ class RealTimePilot(Pilot):
             window = planner.solve(
                 state, start, lambda step: self._stopping.is_set() or no_time_for(step)
             )
-            return ScheduledPlan(window, request, horizon.accepted)
+            return ScheduledPlan(window, request, estimate.t, start + horizon.accepted)
 
         spare = max(_SPARE * self._timing.lead, self._period)
         self._work = Work(plan, start, self._clock, self._step_times, spare, self._run)

@@ -21,21 +21,21 @@ class Request:
 
 @dataclass(frozen=True)
 class ScheduledPlan:
-    """A planned window, what it was planned for, and its accepted part [s]."""
+    """A plan, what it was made for, and when.
+
+    observed: time of the observation that it was made from [s]; accepted_until: time at which the
+    next window ought to take over [s].
+    """
 
     window: Window
     request: Request
-    accepted: float
+    observed: float
+    accepted_until: float
 
     @property
     def start(self) -> float:
         """Time from which it is played [s]."""
         return self.window.plan.t0
-
-    @property
-    def accepted_until(self) -> float:
-        """Time at which the next plan ought to take over [s]."""
-        return self.start + self.accepted
 
     @property
     def end(self) -> float:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 import math
 
 from herding_ros.control.closed_loop import as_policy
@@ -16,6 +17,7 @@ from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import never, NoTimeFor, Status
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.control.window import Window
+from herding_ros.model import flock
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.state import Array, HerdState
 from hypothesis import given, settings
@@ -24,54 +26,81 @@ import numpy as np
 import pytest
 
 PERIOD, LENGTH, ACCEPTED, LEAD = 0.1, 4.0, 2.0, 1.0
-CONTROL = Control(horizon=Horizon(length=LENGTH, accepted=ACCEPTED, control_period=PERIOD))
+FEEDBACK = 0.5
+HORIZON = Horizon(LENGTH, ACCEPTED, feedback=ACCEPTED, control_period=PERIOD)
+CONTROL = Control(horizon=HORIZON)
+IMPROVING = Control(horizon=replace(HORIZON, feedback=FEEDBACK))
 GOAL = (1.0, 0.0)
 NEW_GOAL = (0.0, 1.0)
 REPORT = SolveReport(
-    Status.CONVERGED, 0.0, 0.0, 0, 0, 0, (), 0.0, 0, Status.CONVERGED, 0, (), 0.0, 0.0, {}
+    'window',
+    Status.CONVERGED,
+    0.0,
+    0.0,
+    0,
+    0,
+    0,
+    (),
+    0.0,
+    0,
+    Status.CONVERGED,
+    0,
+    (),
+    0.0,
+    0.0,
+    {},
 )
 
 
 class FakePlanner:
-    """Plans that all dogs run along the goal, (1e-3 goal) m/s: so a command shows its goal."""
+    """Plans that all dogs run along the goal, (1e-3 goal) m/s: so a command shows its goal.
+
+    An improved plan has them run half as fast. All expect the sheep of `seen` to stay there.
+    """
 
     def __init__(self, control: Control = CONTROL) -> None:
         self.crowd, self.control, self.goal = Crowd(), control, np.array(GOAL)
         self.restarts = 0
         self.solved: list[tuple[float, HerdState]] = []
+        self.improved: list[tuple[float, HerdState]] = []
         self.error: Exception | None = None
         self.speed = 1e-3
-        self.last: Plan | None = None
-        self.asked = 1
-
-    def due(self, t: float) -> bool:
-        return self.last is None or not -1e-6 <= t - self.last.t0 < ACCEPTED - 1e-6
 
     def move_goal(self, goal: Array) -> None:
         self.goal = goal
 
     def restart(self) -> None:
         self.restarts += 1
-        self.last = None
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         self.crowd, self.control = crowd, control
 
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
         self.solved.append((t, state))
+        return self._window(self.speed, state, t, no_time_for)
+
+    def improve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
+        self.improved.append((t, state))
+        return self._window(0.5 * self.speed, state, t, no_time_for)
+
+    def _window(self, speed: float, state: HerdState, t: float, no_time_for: NoTimeFor) -> Window:
         self.stopped = no_time_for('coarse')
         if self.error is not None:
             raise self.error
         intervals = self.control.horizon.intervals
-        u = np.broadcast_to(self.speed * self.goal, (intervals, len(state.d), 2))
-        self.last = Plan(t, PERIOD, u)
-        centre, dogs = np.zeros((intervals + 1, 2)), np.zeros((intervals + 1, *state.d.shape))
-        return Window(self.last, REPORT, PERIOD, centre, dogs)
+        u = np.broadcast_to(speed * self.goal, (intervals, len(state.d), 2))
+        x = seen(0.0).state.x
+        centre = np.broadcast_to(flock.centre(x), (intervals + 1, 2))
+        spread = np.full(intervals + 1, flock.spread(x))
+        dogs = np.zeros((intervals + 1, *state.d.shape))
+        return Window(Plan(t, PERIOD, u), REPORT, PERIOD, centre, spread, dogs)
 
 
-def seen(t: float, dogs: tuple[int, ...] = (0, 1, 2), sheep: int = 2) -> Observed:
+def seen(
+    t: float, dogs: tuple[int, ...] = (0, 1, 2), sheep: int = 2, gust: float = 0.0
+) -> Observed:
     d = np.array([[-0.5, 0.1 * m] for m in dogs])
-    x = np.array([[0.1 * i, 0.0] for i in range(sheep)])
+    x = np.array([[0.1 * i + gust, 0.0] for i in range(sheep)])
     return Observed(round(t * 1e9), np.arange(sheep), HerdState(x, np.zeros_like(x), d), dogs)
 
 
@@ -148,8 +177,8 @@ def command(decision: Decision) -> Array:
 # In lockstep.
 
 
-def lockstep() -> tuple[LockstepPilot, FakePlanner]:
-    planner = FakePlanner()
+def lockstep(control: Control = CONTROL) -> tuple[LockstepPilot, FakePlanner]:
+    planner = FakePlanner(control)
     return LockstepPilot(planner, 3), planner
 
 
@@ -165,15 +194,89 @@ def test_lockstep_plans_when_due_and_replies_each_time() -> None:
 
 
 def test_lockstep_reply_is_that_of_the_real_planner() -> None:
-    control = Control(horizon=Horizon(length=1.0, accepted=0.5))
+    control = Control(horizon=Horizon(length=1.0, accepted=0.5, feedback=0.2))
     herd = seen(0.0, sheep=4).state
     pilot = LockstepPilot(RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7), 3)
     by_hand = RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7)
     for k in range(8):
         if k % 5 == 0:
             plan = by_hand.solve(herd, 0.1 * k).plan
+        elif k % 5 in (2, 4):
+            plan = by_hand.improve(herd, 0.1 * k).plan
         reply = pilot.decide(Observed.complete(0.1 * k, herd))
         np.testing.assert_array_equal(reply.command, plan.at(0.1 * k))
+
+
+@pytest.mark.parametrize('start', [0, 3_000_000_000, 1_700_000_000_123_456_789])
+def test_lockstep_improves_the_plan_between_two_windows(start: int) -> None:
+    """At times since 1970 as well, which are exact to 2.4e-7 s in double precision."""
+    pilot, planner = lockstep(IMPROVING)
+    speeds = []
+    for k in range(45):
+        observed = replace(seen(0.0), stamp=start + 100_000_000 * k)
+        decision = pilot.decide(observed)
+        speeds.append(command(decision)[0, 0])
+        assert (decision.announcement is not None) == (k % 5 == 0)
+    windows, improved = ([round((t - start * 1e-9) / 0.1) for t, _ in each] for each in
+                         (planner.solved, planner.improved))  # fmt: skip
+    assert windows == [0, 20, 40]
+    assert improved == [5, 10, 15, 25, 30, 35]
+    np.testing.assert_allclose(speeds, [1e-3 * (1.0 if k % 20 < 5 else 0.5) for k in range(45)])
+    assert pilot.plans_made == 9
+
+
+@pytest.mark.parametrize('feedback', [ACCEPTED, 10 * ACCEPTED])
+def test_lockstep_without_feedback_plans_windows_only(feedback: float) -> None:
+    """Whatever the flock does meanwhile."""
+    pilot, planner = lockstep(Control(horizon=replace(HORIZON, feedback=feedback)))
+    for k in range(45):
+        pilot.decide(seen(0.1 * k, gust=0.3 * (k > 3)))
+    assert [t for t, _ in planner.solved] == pytest.approx([0.0, 2.0, 4.0])
+    assert not planner.improved
+
+
+def test_lockstep_improves_at_once_when_surprised_and_once_for_each_surprise() -> None:
+    pilot, planner = lockstep(IMPROVING)
+    for k in range(20):
+        pilot.decide(seen(0.1 * k, gust=0.3 * (k >= 2)))
+    # The plans of this planner go on to expect the sheep where they were.
+    assert [t for t, _ in planner.improved] == pytest.approx([0.1 * k for k in range(2, 20)])
+    assert len(planner.solved) == 1
+    pilot, planner = lockstep(IMPROVING)
+    for k in range(20):
+        pilot.decide(seen(0.1 * k, gust=0.3 * (k == 2)))
+    assert [t for t, _ in planner.improved] == pytest.approx([0.2, 0.7, 1.2, 1.7])
+
+
+def test_lockstep_plans_a_window_anew_for_another_goal_and_without_a_dog() -> None:
+    """Neither is a matter of improving the plan."""
+    pilot, planner = lockstep(IMPROVING)
+    for k in range(4):
+        pilot.decide(seen(0.1 * k))
+    pilot.move_goal(np.array(NEW_GOAL))
+    for k in range(4, 8):
+        pilot.decide(seen(0.1 * k))
+    for k in range(8, 14):
+        pilot.decide(seen(0.1 * k, dogs=(0, 2)))
+    assert [t for t, _ in planner.solved] == pytest.approx([0.0, 0.4, 0.8])
+    assert [t for t, _ in planner.improved] == pytest.approx([1.3])
+
+
+def test_lockstep_plays_the_last_plan_on_when_an_improvement_fails_and_says_so_once() -> None:
+    pilot, planner = lockstep(IMPROVING)
+    pilot.decide(seen(0.0))
+    planner.error = ArithmeticError('the solver is broken')
+    decisions = [pilot.decide(seen(0.1 * k)) for k in range(1, 15)]
+    assert all(goal_of(command(decision)) == [GOAL] * 3 for decision in decisions)
+    assert pilot.plans_failed == 10  # at 0.5 s and each time after
+    events = [event for decision in decisions for event in decision.events]
+    assert [event.level for event in events] == ['error']
+    planner.error = None
+    assert command(pilot.decide(seen(1.5)))[0, 0] == 0.5e-3
+    # The window comes when it should.
+    for k in range(16, 21):
+        pilot.decide(seen(0.1 * k))
+    assert planner.solved[-1][0] == pytest.approx(2.0)
 
 
 def test_lockstep_plans_for_a_moved_goal_at_once_and_for_the_same_goal_not_again() -> None:
