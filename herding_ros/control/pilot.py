@@ -215,8 +215,8 @@ class Pilot:
     def _is_feedback_due(self, plan: ScheduledPlan, estimate: Observed) -> bool:
         """Whether a plan, made for the dogs that are visible, is to be improved.
 
-        It is once the observation that it was made from is `horizon.feedback` old, or when the
-        flock is not where the plan has it.
+        It is once the observation that it was made from is `horizon.feedback` old, when the goal
+        has moved, or when the flock is not where the plan has it.
         """
         horizon = self._control.horizon
         if not horizon.has_feedback or plan.request.dogs != estimate.dogs:
@@ -224,8 +224,12 @@ class Pilot:
         age = estimate.t - plan.observed
         if age < SLACK:
             return False
-        return age > horizon.feedback - SLACK or is_surprising(
-            self._crowd, self._control.sensor, plan.window, age, estimate.state, estimate.t
+        return (
+            age > horizon.feedback - SLACK
+            or plan.request.goal != self._goal
+            or is_surprising(
+                self._crowd, self._control.sensor, plan.window, age, estimate.state, estimate.t
+            )
         )
 
     def _announce(self, plan: ScheduledPlan, margin: float) -> Announcement:

@@ -10,6 +10,9 @@ import numpy as np
 
 from .window import Window
 
+_SLACK = 1e-6
+"""Starts are the same that differ by less [s]: they are sums of control periods."""
+
 
 @dataclass(frozen=True)
 class Request:
@@ -62,8 +65,8 @@ class Schedule:
 
     def add(self, plan: ScheduledPlan) -> None:
         """Play a plan from its start on; of two with the same start, the one added last."""
-        self._plans.append(plan)
-        self._plans.sort(key=lambda each: each.start)
+        k = sum(each.start <= plan.start + _SLACK for each in self._plans)
+        self._plans.insert(k, plan)
 
     @property
     def last(self) -> ScheduledPlan | None:
@@ -72,7 +75,7 @@ class Schedule:
 
     def playing(self, t: float) -> ScheduledPlan | None:
         """Return the plan that is played at t [s]; None before the first."""
-        begun = [plan for plan in self._plans if plan.start <= t + 1e-9]
+        begun = [plan for plan in self._plans if plan.start <= t + _SLACK]
         return begun[-1] if begun else None
 
     def forget_before(self, t: float) -> None:
