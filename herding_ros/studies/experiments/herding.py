@@ -21,6 +21,7 @@ from herding_ros.model.state import Array, HerdState
 import numpy as np
 
 from .measures import course, measures, plans, snapshots_at
+from .starts import arranged
 from .strombom import Strombom
 
 _QUANTITIES = {'position': 'x', 'velocity': 'v', 'dog': 'd'}
@@ -93,6 +94,7 @@ def run(
     every: float = 1.0,
     snapshots: Sequence[float] = (),
     strays: int = 0,
+    start: str = 'usual',
 ) -> dict[str, Any]:
     """Herd a flock by a policy and return the run in numbers.
 
@@ -101,7 +103,8 @@ def run(
     notices.
     noise: of all observations [m and m/s], by default that of World; crowd: name of a preset;
     stop: end with the arrival; every: spacing of the stored course [s]; snapshots: instants [s];
-    strays: number of sheep that may be left behind.
+    strays: number of sheep that may be left behind; start: one of those of `arranged`, which the
+    spread at the arrival is not compared with, but with the usual one.
     The flock and its random forces depend on the seed alone.
     """
     herd = replace(CROWDS[crowd], noise=sigma, common_noise=common_noise)
@@ -123,6 +126,7 @@ def run(
     else:
         raise ValueError(f"policy must be 'planner', 'strombom' or 'none', got {policy!r}")
     simulation = Simulation(herd, world, destination)
+    simulation.state = arranged(start, simulation.state, destination)
     watched = Watched(decide, simulation, pilot)
     track = play(simulation, watched, time_limit, stop)
     period = world.control_period
