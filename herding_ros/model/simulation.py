@@ -79,6 +79,11 @@ class Simulation:
         self._process, self._sensor = flock.spawn(2)
 
     @property
+    def control_period(self) -> float:
+        """Time between two observations [s]."""
+        return self.world.control_period
+
+    @property
     def nanoseconds(self) -> int:
         """Simulated time since the start [ns]."""
         return self.periods * round(self.world.control_period * 1e9)
