@@ -14,13 +14,13 @@ from herding_ros.control.parameters import Control, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.crowd import CROWDS
-from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
 from .measures import course, measures, plans, snapshots_at
 from .strombom import Strombom
+from .truths import NO_FORCE
 
 _QUANTITIES = {'position': 'x', 'velocity': 'v', 'dog': 'd'}
 
@@ -116,7 +116,7 @@ def run(
     elif policy == 'strombom':
         decide = Strombom(destination, np.random.default_rng([seed, 30_000]), **settings)
     elif policy == 'none':
-        herd = replace(herd, dog=Morse(0.0, 1.0, 0.0, 1.0))
+        herd = replace(herd, dog=NO_FORCE)
     else:
         raise ValueError(f"policy must be 'planner', 'strombom' or 'none', got {policy!r}")
     simulation = Simulation(herd, world, destination)

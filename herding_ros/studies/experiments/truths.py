@@ -15,8 +15,8 @@ from herding_ros.model.simulation import Observation, Simulation, single, World
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
-_NOBODY = Morse(0.0, 1.0, 0.0, 1.0)
-"""The potential of a dog that no sheep notices."""
+NO_FORCE = Morse(0.0, 1.0, 0.0, 1.0)
+"""The potential of a dog that no sheep notices, or of sheep that do not notice each other."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class OtherWorld(Simulation):
             # A step is linear in the forces, so that a response scales what dogs change.
             with_dogs, without = (
                 self._step(crowd, state, u, shock)
-                for crowd in (self.crowd, replace(self.crowd, dog=_NOBODY))
+                for crowd in (self.crowd, replace(self.crowd, dog=NO_FORCE))
             )
             v = without.v + self.response[:, None] * (with_dogs.v - without.v)
             speed = np.linalg.norm(v, axis=1, keepdims=True)
