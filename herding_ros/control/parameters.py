@@ -11,10 +11,13 @@ from herding_ros.model.parameters import Parameters, quantity, TINY
 
 @dataclass(frozen=True)
 class Weights(Parameters):
-    """What the cost weighs; the paper's are 1, 1, 1e-2 and 0."""
+    """What the cost weighs; the paper's are centre 1, spread 1, control 1e-2, and 0."""
 
+    distance: float = quantity(
+        1.0, "weight of the centre's distance from its reference", 'm', low=0.0, live=True
+    )
     centre: float = quantity(
-        3.0, "weight of the centre's distance from its reference", low=0.0, live=True
+        0.0, "weight of half that distance's square, as in the paper", low=0.0, live=True
     )
     spread: float = quantity(
         3.0, "weight of the sheep's distance from their centre", low=0.0, live=True
@@ -23,6 +26,12 @@ class Weights(Parameters):
     dogs: float = quantity(
         3e-3,
         "weight of each dog's distance from the reference; keeps dogs from running off",
+        low=0.0,
+        live=True,
+    )
+    beyond: float = quantity(
+        1.0,
+        'weight of what lies beyond the window: the time that dogs still need to get behind strays',
         low=0.0,
         live=True,
     )
@@ -50,15 +59,9 @@ class Reference(Parameters):
 
     kind: str = quantity(
         'attainable',
-        'speed at which the reference moves to the destination: one that sheep can keep, '
-        'or (interpolated, as in the paper) what reaches it within one horizon',
+        'speed at which the reference moves to the destination: the one at which the dogs can '
+        'drive the flock, or (interpolated, as in the paper) what reaches it within one horizon',
         choices=('attainable', 'interpolated'),
-    )
-    speed: float = quantity(
-        0.025,
-        'speed of the attainable reference with three dogs or more; fewer drive in proportion',
-        'm/s',
-        low=TINY,
     )
 
 
@@ -169,6 +172,9 @@ class Optimiser(Parameters):
     feedback_iterations: int = quantity(
         8, 'most iterations of an improvement between two windows', low=1, high=10_000
     )
+    rules: bool = quantity(
+        True, 'start from what a rule of herding does, if that costs less than the last plan'
+    )
 
 
 @dataclass(frozen=True)
@@ -258,10 +264,10 @@ class Control(Parameters):
 
 
 PAPER = Control(
-    weights=Weights(centre=1.0, spread=1.0, dogs=0.0),
+    weights=Weights(distance=0.0, centre=1.0, spread=1.0, dogs=0.0, beyond=0.0),
     reference=Reference(kind='interpolated'),
     horizon=Horizon(feedback=10.0),
-    optimiser=Optimiser(tolerance=5e-3),
+    optimiser=Optimiser(tolerance=5e-3, rules=False),
     mapping=Mapping('aggressive', 'plain', standard_error=0.0, tolerance=0.3),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""

@@ -54,6 +54,7 @@ class Status(Enum):
     NO_DESCENT = 'no descent'
     STAGNATED = 'stagnated'
     OUT_OF_TIME = 'out of time'
+    NO_INFLUENCE = 'no influence'
 
 
 @dataclass(frozen=True)
