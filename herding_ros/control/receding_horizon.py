@@ -23,6 +23,7 @@ from .objective import Objective, weighted_costs
 from .parameter_extraction import ParameterExtraction
 from .parameters import Control
 from .plan import Plan
+from .pqn import pqn
 from .reference import reference
 from .solution import Budget, never, NoTimeFor, OutOfTime, Problem, Solution, Status
 from .solve_report import SolveReport, Stopwatch
@@ -38,7 +39,7 @@ from .space_mapping import (
 from .spg import spg
 from .window import Window
 
-OPTIMISERS = {'spg': spg, 'ncg': ncg}
+OPTIMISERS = {'pqn': pqn, 'spg': spg, 'ncg': ncg}
 
 
 @dataclass
@@ -162,7 +163,10 @@ class RecedingHorizon:
             costs = [*weighted_costs(self.control.weights, route), *self.costs]
             objective = Objective([*costs, ControlEffort(gamma)])
             problem = Problem(
-                partial(model.value_and_gradient, objective), self._admissible, model.inner
+                partial(model.value_and_gradient, objective),
+                self._admissible,
+                model.inner,
+                self.control.max_speed,
             )
             budget = Budget(limit, optimiser.tolerance, out_of_time)
             solutions.append(OPTIMISERS[optimiser.method](problem, u, budget))
