@@ -158,14 +158,15 @@ class Optimiser(Parameters):
     """How the deterministic problems are solved."""
 
     method: str = quantity(
-        'spg',
-        "spectral projected gradient, or the paper's projected nonlinear conjugate gradient",
-        choices=('spg', 'ncg'),
+        'pqn',
+        'projected quasi-Newton, spectral projected gradient, or (the paper) projected nonlinear '
+        'conjugate gradient',
+        choices=('pqn', 'spg', 'ncg'),
     )
     tolerance: float = quantity(
-        1e-2,
-        'length of the last step (ncg) or of the projected gradient (spg)',
-        'm/s^0.5',
+        1e-4,
+        'pqn: decrease that the next step promises, relative to the objective; spg: length of the '
+        'projected gradient [m/s^0.5]; ncg: length of the last step [m/s^0.5]',
         low=0.0,
     )
     max_iterations: int = quantity(60, 'most iterations of one solve', low=1, high=10_000)
@@ -267,7 +268,7 @@ PAPER = Control(
     weights=Weights(distance=0.0, centre=1.0, spread=1.0, dogs=0.0, beyond=0.0),
     reference=Reference(kind='interpolated'),
     horizon=Horizon(feedback=10.0),
-    optimiser=Optimiser(tolerance=5e-3, rules=False),
+    optimiser=Optimiser('spg', tolerance=5e-3, rules=False),
     mapping=Mapping('aggressive', 'plain', standard_error=0.0, tolerance=0.3),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""

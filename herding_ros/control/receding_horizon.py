@@ -25,11 +25,13 @@ import numpy as np
 from .coarse_model import CoarseModel
 from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
+from .hessian import Hessian
 from .ncg import ncg
 from .objective import Objective
 from .parameter_extraction import ParameterExtraction
 from .parameters import Control
 from .plan import Plan
+from .pqn import pqn
 from .solution import Budget, never, NoTimeFor, Problem, Solution, Status
 from .solve_report import SolveReport, Stopwatch
 from .space_mapping import (
@@ -45,7 +47,7 @@ from .spg import spg
 from .task import RULES, Task
 from .window import Window
 
-OPTIMISERS = {'spg': spg, 'ncg': ncg}
+OPTIMISERS = {'pqn': pqn, 'spg': spg, 'ncg': ncg}
 
 _NO_INFLUENCE = 1e-3
 """Sheep that dogs move by less than this part of the standoff are not influenced."""
@@ -231,6 +233,7 @@ class RecedingHorizon:
         solutions: list[Solution] = []
         costs: list[Cost] = []
         limit = budget.max_iterations
+        hessian = Hessian()  # the curvature hardly depends on the time grid
         for substeps in sorted({1, coarse.substeps}):
             model = coarse.on_grid(substeps)
             times = model.dt * np.arange(horizon.intervals * substeps + 1, dtype=np.float64)
@@ -240,7 +243,11 @@ class RecedingHorizon:
                 candidates.items(), key=lambda each: self._value(model, objective, each[1])
             )
             problem = Problem(
-                partial(model.value_and_gradient, objective), self._admissible, model.inner
+                partial(model.value_and_gradient, objective),
+                self._admissible,
+                model.inner,
+                self.control.max_speed,
+                hessian,
             )
             minimise = OPTIMISERS[optimiser.method]
             solutions.append(minimise(problem, u, replace(budget, max_iterations=limit)))

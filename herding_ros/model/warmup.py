@@ -15,6 +15,7 @@ from .linear_algebra import times, transposed_times
 from .motion import Holonomic
 from .particle_mesh import ParticleMesh
 from .potentials import Mollified, Morse
+from .quadratic import advance, hessian_times, smoothed
 from .sampling import FineModel, free, Resolution
 from .state import HerdState
 from .tracking_cost import tracking_cost
@@ -42,10 +43,15 @@ def warm_up(crowd: Crowd | None = None) -> float:
     source = np.zeros_like(trajectory.xs)
     times(source[0], source[0, 0], source[0, :, 0].copy())
     transposed_times(source[0], np.zeros(2), source[0, 0].copy())
+    h, w, q = np.ones((1, 2)), np.zeros((2, 2)), np.zeros((2, 2))
+    smoothed(h, h.copy())
+    hessian_times(h, 1.0, w, q, h.copy())
+    advance(h.copy(), h.copy(), h.copy(), 1.0, w, q)
     tracking_cost(trajectory.xs, np.zeros((2, 2)), 2, 1.0, 1.0, 1.0, source)
     constants, d = physics(crowd, 2, 0.01), trajectory.ds
     nodes = np.ones(kernels.PATHS // 2, dtype=np.int_)
     kernels.centre_adjoints(trajectory.xs, d, nodes, constants, np.empty((2, 2, kernels.PATHS)))
+    Holonomic().project(u, 1.0)
     Holonomic().transpose(d, u, reverse_sweep(crowd, trajectory, source), 0.01, 1)
     return time.perf_counter() - started
 
