@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .crowd import Crowd
-from .flock import arrived, spread
+from .flock import Arrival, arrived, spread, without_strays
 from .motion import Holonomic, MotionModel
 from .parameters import Parameters, quantity, TINY
 from .scenario import DOG_RADIUS, initial_herd, MOST_DOGS, MOST_SHEEP
@@ -32,6 +32,16 @@ class World(Parameters):
     )
     max_speed: float = quantity(5e-2, 'a dog runs no faster than this', 'm/s', low=TINY)
     motion: MotionModel = Holonomic()
+    arrival: Arrival = Arrival()
+
+    def __post_init__(self) -> None:
+        """Check what goes together."""
+        super().__post_init__()
+        if self.arrival.strays >= self.sheep:
+            raise ValueError(
+                f'World.arrival.strays must be less than World.sheep, {self.sheep}, '
+                f'got {self.arrival.strays}'
+            )
 
     @property
     def control_period(self) -> float:
@@ -75,8 +85,13 @@ class Simulation:
         self.state = replace(herd, d=dogs)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
         self.periods = 0
-        self.initial_spread = float(spread(single(self.state.x)))
+        self.initial_spread = float(spread(single(self.flock)))
         self._process, self._sensor = flock.spawn(2)
+
+    @property
+    def control_period(self) -> float:
+        """Time between two observations [s]."""
+        return self.world.control_period
 
     @property
     def nanoseconds(self) -> int:
@@ -84,9 +99,15 @@ class Simulation:
         return self.periods * round(self.world.control_period * 1e9)
 
     @property
+    def flock(self) -> Array:
+        """Positions (n, 2) [m] of the sheep that have to arrive: all but strays."""
+        return without_strays(self.state.x, self.world.arrival.strays)
+
+    @property
     def arrived(self) -> bool:
         """Whether the flock, rounded as it is published, is at the goal and together."""
-        return arrived(single(self.state.x), self.goal, self.initial_spread)
+        x, when = single(self.state.x), self.world.arrival
+        return arrived(x, self.goal, self.initial_spread, when)
 
     def advance(self, u: Array) -> None:
         """Move on by one control period under the dogs' velocities u (M, 2) [m/s].
@@ -94,22 +115,26 @@ class Simulation:
         Commands beyond the speed limit are projected onto it. Raises ValueError, and leaves the
         state as it was, if forces or noise would take the herd beyond all numbers.
         """
-        from .dynamics import rollout  # a program's help needs no Numba
-        from .noise import increments
+        from .noise import increments  # a program's help needs no Numba
 
         world = self.world
         u = world.motion.project(u, world.max_speed)
         noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)
-        t = self.nanoseconds * 1e-9
-        trajectory = rollout(
-            self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
-        )
-        state = trajectory.at(-1)
+        state = self._moved(u, noise)
         if not np.isfinite(single(np.stack([state.x, state.v]))).all():
             raise ValueError('positions and velocities must be finite in single precision')
         self.state = state
         self.dog_velocities = u
         self.periods += 1
+
+    def _moved(self, u: Array, noise: Array) -> HerdState:
+        """Return the state after a control period of dogs' velocities u under this noise."""
+        from .dynamics import rollout
+
+        world, t = self.world, self.nanoseconds * 1e-9
+        return rollout(
+            self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
+        ).at(-1)
 
     def observe(self) -> Observation:
         """Return a noisy observation: true values plus independent Gaussian noise."""
