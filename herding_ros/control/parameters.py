@@ -213,6 +213,11 @@ class Mapping(Parameters):
         'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is; 0 takes all iterations',
         low=0.0,
     )
+    feedback: bool = quantity(
+        False,
+        'correct plans between two windows as well, by the error of the expected centre that was '
+        'found last; one evaluation of the fine model in each feedback brings it up to date',
+    )
 
 
 @dataclass(frozen=True)

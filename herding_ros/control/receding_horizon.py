@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The receding horizon: window after window, and feedback in between.
 
-A window is planned from a measured state, and corrected for the noise by the space mapping. Its
-defect, by which the expected centre is off the coarse model's, is kept: a feedback improves the
-plan from a newer state by a few iterations of the coarse solve, in which the flock is expected
-where the coarse model has it plus that defect.
+A window is planned from a measured state, and corrected for the noise by the space mapping. A
+feedback improves the plan from a newer state by a few iterations of the coarse solve. Where
+`mapping.feedback` asks for it, the defect, by which the expected centre is off the coarse model's,
+is kept: in a feedback the flock is expected where the coarse model has it plus that defect.
 """
 
 from __future__ import annotations
@@ -58,18 +58,14 @@ _SLACK = 1e-6
 
 @dataclass(frozen=True)
 class _Planned:
-    """A plan with its defect (intervals + 1, 2) [m]: expected minus coarse centre."""
+    """A plan with its defect (intervals + 1, 2) [m]: expected minus coarse centre.
+
+    From a state that is known it grows with time. So the best guess of that of a plan from a
+    newer state is the same, not shifted in time.
+    """
 
     plan: Plan
     defect: Array
-
-    def defect_from(self, t: float) -> Array:
-        """Return the defect (intervals + 1, 2) [m] of a plan of equal length from t [s] on.
-
-        From a state that is known at t it grows as it did from the one that was known at the
-        start.
-        """
-        return self.defect
 
 
 @dataclass
@@ -176,10 +172,11 @@ class RecedingHorizon:
         """Improve the plan that is played at t [s] in the given state, by few iterations.
 
         The plan that is returned starts at t and is as long as a window. It is predicted on the
-        control's own time grid. no_time_for is called with 'coarse', see `solve`.
+        control's own time grid. no_time_for is called with 'coarse' or 'fine', see `solve`.
         """
         clock = Stopwatch()
         optimiser, horizon = self.control.optimiser, self.control.horizon
+        corrects = self.control.mapping.feedback
         coarse = self.coarse_model(state)
         coarse = coarse.on_grid(1)
         budget = Budget(
@@ -187,18 +184,23 @@ class RecedingHorizon:
         )
         last = self._playing(t)
         defect: Array = np.zeros((horizon.intervals + 1, 2))
-        if last is not None and last.defect.shape == defect.shape:
-            defect = last.defect_from(t)
+        if corrects and last is not None and last.defect.shape == defect.shape:
+            defect = last.defect
         rule = next(self._turns)  # all of them would take too long
         with clock.phase('coarse'):
             solution, _ = self._solve_coarse(coarse, t, budget, defect, [rule])
             predicted = coarse.rollout(solution.u)
+        expected: list[Expectation] = []
+        if corrects and not no_time_for(FINE):
+            with clock.phase('fine'):
+                expected.append(self._expectation(state, t)(solution.u))
+            defect = expected[0].centre[:: horizon.substeps] - centre(predicted.x)
         expected_centre = centre(predicted.x) + defect
         plan = Plan(t, horizon.control_period, solution.u)
         waiting = [each for each in self._planned if each.plan.t0 > t + _SLACK]
         self._planned = _in_order([_Planned(plan, defect), *waiting])
         mapping = MappingResult(solution.u, expected_centre, Status.CONVERGED)
-        report = SolveReport.of('feedback', solution, mapping, [], 0, clock.seconds())
+        report = SolveReport.of('feedback', solution, mapping, expected, 0, clock.seconds())
         return Window(
             plan, report, horizon.control_period, expected_centre, spread(predicted.x), predicted.d
         )

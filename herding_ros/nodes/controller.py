@@ -246,6 +246,8 @@ class Controller(HerdingNode):
         mismatched = self._mismatches.report_values()
         values = {
             'dogs_silent': ' '.join(pilot.silent_dogs),
+            'plans_made': pilot.plans_made,
+            'feedbacks_made': pilot.feedbacks_made,
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
             **self._refused.report_values(),
