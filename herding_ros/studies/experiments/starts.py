@@ -15,8 +15,8 @@ _STRAY = 1.2
 """Distance of a stray from the centre of the flock [m]."""
 _INSIDE = 0.15
 """Distance of dogs inside the flock from its centre [m]."""
-_CLUSTER = 0.5
-"""Distance of two clusters from their common centre [m], and their size over that of a flock."""
+_CLUSTER = 0.8
+"""Distance of two clusters from their common centre [m]."""
 
 
 def _strays(herd: HerdState, ahead: Array) -> HerdState:
@@ -42,9 +42,7 @@ def _in_front(herd: HerdState, ahead: Array) -> HerdState:
 def _clusters(herd: HerdState, ahead: Array) -> HerdState:
     """Divide the flock in two, one on each side."""
     side = np.where(np.arange(len(herd.x)) % 2, 1.0, -1.0)[:, None]
-    middle = centre(herd.x)
-    x = middle + _CLUSTER * (herd.x - middle + side * _aside(ahead))
-    return replace(herd, x=x)
+    return replace(herd, x=herd.x + _CLUSTER * side * _aside(ahead))
 
 
 _STARTS: dict[str, Callable[[HerdState, Array], HerdState]] = {
