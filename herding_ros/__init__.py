@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .control.closed_loop import closed_loop, ClosedLoopRun, play, Policy
+    from .control.closed_loop import closed_loop, ClosedLoopRun, Plant, play, Policy, steer
     from .control.costs.cost import Cost, Derivatives
     from .control.parameters import Control, Horizon, Mapping, PAPER, Weights
     from .control.plan import Plan
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from .model.flock import distance, spread
     from .model.noise_field import NoiseField
     from .model.potentials import Morse
-    from .model.simulation import Simulation, World
+    from .model.simulation import Observation, Simulation, World
     from .model.state import HerdState, Trajectory
 
 __version__ = '0.1.0'
 
 _HOMES = {
-    'control.closed_loop': ('ClosedLoopRun', 'Policy', 'closed_loop', 'play'),
+    'control.closed_loop': ('ClosedLoopRun', 'Plant', 'Policy', 'closed_loop', 'play', 'steer'),
     'control.costs.cost': ('Cost', 'Derivatives'),
     'control.parameters': ('Control', 'Horizon', 'Mapping', 'PAPER', 'Weights'),
     'control.plan': ('Plan',),
@@ -33,7 +33,7 @@ _HOMES = {
     'model.flock': ('distance', 'spread'),
     'model.noise_field': ('NoiseField',),
     'model.potentials': ('Morse',),
-    'model.simulation': ('Simulation', 'World'),
+    'model.simulation': ('Observation', 'Simulation', 'World'),
     'model.state': ('HerdState', 'Trajectory'),
 }
 _MODULES = {name: module for module, names in _HOMES.items() for name in names}
@@ -51,7 +51,9 @@ __all__ = [
     'Mapping',
     'Morse',
     'NoiseField',
+    'Observation',
     'Plan',
+    'Plant',
     'Policy',
     'RecedingHorizon',
     'Simulation',
@@ -62,6 +64,7 @@ __all__ = [
     'distance',
     'play',
     'spread',
+    'steer',
 ]
 
 

@@ -139,3 +139,12 @@ def test_another_controller(run: Run) -> None:
     _, ((arrived, time),) = run(POLICY)
     assert arrived == 'True'
     assert float(time) < 25.0
+
+
+def test_a_foreign_simulator(capsys: pytest.CaptureFixture[str]) -> None:
+    program = PAGE.parents[1] / 'examples' / 'foreign_simulator.py'
+    assert len(program.read_text(encoding='utf-8').splitlines()) <= 45
+    run = runpy.run_path(str(program))['run']
+    assert 'arrived: True' in capsys.readouterr().out
+    assert 20.0 < run.t[-1] < 80.0
+    assert len(run.reports) > 1

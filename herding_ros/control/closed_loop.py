@@ -1,25 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sim and controller in one loop: the node graph without ROS."""
+"""A plant and what controls it in one loop: with `Simulation`, the node graph without ROS."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.simulation import Simulation, World
+from herding_ros.model.simulation import Observation, Simulation, World
 from herding_ros.model.state import Array, finite, HerdState
 import numpy as np
 
 from .costs.cost import Cost
 from .lockstep_pilot import LockstepPilot
 from .parameters import check_lockstep, Control
-from .pilot import Observed
+from .pilot import Observed, Planner
 from .receding_horizon import RecedingHorizon
 from .solve_report import SolveReport
 
 Policy = Callable[[HerdState, float], Array]
 """From the observed state and the time [s] to the dogs' velocities (M, 2) [m/s]."""
+
+
+class Plant(Protocol):
+    """A herd that moves: `Simulation`, or anyone's simulator.
+
+    control_period: time for which a command holds [s]; state: the truth; dog_velocities: (M, 2)
+    [m/s] in the last control period.
+    """
+
+    state: HerdState
+    dog_velocities: Array
+
+    @property
+    def control_period(self) -> float:
+        """Time between two observations [s]."""
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the herd is where it should be."""
+
+    def observe(self) -> Observation:
+        """Return what the sensors see."""
+
+    def advance(self, u: Array) -> None:
+        """Move on by one control period under the commands u (M, 2) [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -63,26 +89,36 @@ def as_policy(pilot: LockstepPilot, reports: list[SolveReport]) -> Policy:
     return policy
 
 
-def play(
-    simulation: Simulation, policy: Policy, time_limit: float, stop: bool = True
-) -> ClosedLoopRun:
+def play(plant: Plant, policy: Policy, time_limit: float, stop: bool = True) -> ClosedLoopRun:
     """Herd by a policy for time_limit [s], with stop only until the flock arrives.
 
     All policies see the same observations of the same flock under the same noise.
     """
-    world = simulation.world
-    t, x, d, u = [0.0], [simulation.state.x], [simulation.state.d], []
-    home = 0 if simulation.arrived else None
-    while not (stop and home is not None) and t[-1] < time_limit - 0.5 * world.control_period:
-        simulation.advance(policy(simulation.observe().state, t[-1]))
-        t.append(simulation.nanoseconds * 1e-9)
-        x.append(simulation.state.x)
-        d.append(simulation.state.d)
-        u.append(simulation.dog_velocities)
-        if home is None and simulation.arrived:
+    period = round(plant.control_period * 1e9)
+    t, x, d, u = [0.0], [plant.state.x], [plant.state.d], []
+    home = 0 if plant.arrived else None
+    while not (stop and home is not None) and t[-1] < time_limit - 0.5e-9 * period:
+        plant.advance(policy(plant.observe().state, t[-1]))
+        u.append(plant.dog_velocities)
+        t.append(len(u) * period * 1e-9)
+        x.append(plant.state.x)
+        d.append(plant.state.d)
+        if home is None and plant.arrived:
             home = len(u)
-    velocities = np.array(u).reshape(-1, world.dogs, 2)
+    velocities = np.array(u).reshape(-1, *plant.dog_velocities.shape)
     return ClosedLoopRun(np.array(t), np.array(x), np.array(d), velocities, home)
+
+
+def steer(plant: Plant, planner: Planner, time_limit: float) -> ClosedLoopRun:
+    """Herd by a planner, such as RecedingHorizon, until the flock arrives or for time_limit [s].
+
+    Raises OutOfStepError if the planner counts on commands of another length than the plant's.
+    """
+    check_lockstep(planner.control.horizon.control_period, plant.control_period)
+    reports: list[SolveReport] = []
+    pilot = LockstepPilot(planner, len(plant.dog_velocities))
+    run = play(plant, as_policy(pilot, reports), time_limit)
+    return replace(run, reports=tuple(reports))
 
 
 def closed_loop(
@@ -93,17 +129,13 @@ def closed_loop(
     time_limit: float,
     costs: Sequence[Cost] = (),
 ) -> ClosedLoopRun:
-    """Herd by receding-horizon control until the flock arrives, or for time_limit [s].
+    """Herd our own crowd by receding-horizon control until it arrives, or for time_limit [s].
 
     Observation noise, control period and all random numbers are those of the ROS graph in
     lockstep, and so is the result, bit for bit. The controller minimises `costs` as well as
     those that control.weights ask for. Raises ValueError if it counts on commands of another
     length than those of the world.
     """
-    check_lockstep(control.horizon.control_period, world.control_period)
     simulation = Simulation(crowd, world, finite('goal', goal, (2,)))
     planner = RecedingHorizon(crowd, control, simulation.goal, world.seed, costs)
-    reports: list[SolveReport] = []
-    policy = as_policy(LockstepPilot(planner, world.dogs), reports)
-    run = play(simulation, policy, time_limit)
-    return replace(run, reports=tuple(reports))
+    return steer(simulation, planner, time_limit)

@@ -4,8 +4,9 @@
 Between two observations the herd is predicted by the coarse model under the commanded velocities;
 then each sheep and dog is corrected by its observation. For the covariance, each coordinate of
 each sheep is a linear system of its own, of position and velocity, with the model's friction and
-the random force at the sheep's place. The forces between sheep, and the part of the random force
-that they have in common, change the prediction but not the covariance.
+the random force at the sheep's place. In a crowd of first order the velocity follows from the
+positions, and what is observed of it is not used. The forces between sheep, and the part of the
+random force that they have in common, change the prediction but not the covariance.
 """
 
 from __future__ import annotations
@@ -199,8 +200,11 @@ class StateEstimator:
         )
         commands = u[None, before.dogs.names]
         end = rollout(crowd, before.state, commands, dt, steps, motion=self.motion).at(-1)
-        step = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
-        force = self._force(before.t, before.state.x)[..., None, None] ** 2 * np.diag([0.0, dt])
+        if crowd.order == 1:
+            step, driven = np.diag([1.0, 0.0]), [dt / crowd.friction**2, 0.0]
+        else:
+            step, driven = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]]), [0.0, dt]
+        force = self._force(before.t, before.state.x)[..., None, None] ** 2 * np.diag(driven)
         covariance = before.sheep.covariance
         for _ in range(steps):
             covariance = step @ covariance @ step.T + force

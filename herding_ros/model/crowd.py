@@ -21,6 +21,10 @@ class Crowd(Parameters):
     sheep: Potential = Morse(1.0, 1e-2, 5e-4, 2.0)
     dog: Potential = Morse(1e-2, 0.5, 5e-4, 2.0)
     friction: float = quantity(0.5, 'friction alpha of the sheep', '1/s', low=0.0)
+    order: int = quantity(
+        2, 'order of the motion in time; 1: without inertia, velocity is force / friction',
+        low=1, high=2,
+    )  # fmt: skip
     noise: float = quantity(
         0.01, 'strength sigma of the random force on each sheep', 'm/s^1.5', low=0.0, live=True
     )
@@ -29,6 +33,15 @@ class Crowd(Parameters):
     )
     noise_field: NoiseFunction = NoiseField()
     external: ExternalForce = NoForce()
+
+    def __post_init__(self) -> None:
+        """Check what goes together."""
+        super().__post_init__()
+        if self.order == 1 and not self.friction:
+            raise ValueError(
+                'Crowd.friction must be above 0 where Crowd.order is 1, got 0: without inertia '
+                'sheep move at force / friction'
+            )
 
 
 CROWDS = {

@@ -8,9 +8,16 @@ potentials of sheep and dogs (paper, state system):
     v_i' = v_i + dt (-1/N sum_j grad P_1(x_i - x_j) - sum_m grad P_2(x_i - d_m) + g(x_i)
                      - alpha v_i) + sigma f(t, x_i) dB_i
 
-with g the external force, none by default. The dogs' path follows from their commands alone, see
-`motion`. The noise sigma dB is an argument, see `noise`. Without it this is the paper's coarse
-model, with it the fine one; there is no other difference.
+with g the external force, none by default. A crowd of first order has no inertia: with F_i the sum
+of all forces but friction,
+
+    x_i' = x_i + (dt F_i + sigma f(t, x_i) dB_i) / alpha,    v_i' = F_i / alpha,
+
+the limit of the above for short relaxation times 1 / alpha. What its v holds has no effect.
+
+The dogs' path follows from their commands alone, see `motion`. The noise sigma dB is an argument,
+see `noise`. Without it this is the paper's coarse model, with it the fine one; there is no other
+difference.
 """
 
 from __future__ import annotations
@@ -36,7 +43,7 @@ def physics(crowd: Crowd, n: int, dt: float) -> kernels.Physics:
         raise ValueError(f'time step dt must be a number above 0, got {dt!r}')
     sheep = divided(crowd.sheep.kernel_form(), n)
     dog, external = crowd.dog.kernel_form(), crowd.external.kernel_form()
-    return kernels.Physics(n, float(dt), sheep, dog, crowd.friction, external)
+    return kernels.Physics(n, float(dt), sheep, dog, crowd.friction, external, crowd.order)
 
 
 def to_lanes(points: Array) -> Array:
@@ -181,6 +188,7 @@ def reverse_sweep(crowd: Crowd, trajectory: Trajectory, source: Array) -> Array:
     with _summation(crowd, n) as sums:
         prepared = [sums(k, x) for k, x in enumerate(xs[:-1])]
         for k in range(len(xs) - 2, -1, -1):
+            kernels.follow_positions(lam, mu, constants)
             h = prepared[k].hessian_products(xs[k], mu)
             kernels.adjoint_step(xs[k], d[k], source[k], constants, h, lam, mu, dogs[k])
     return dogs

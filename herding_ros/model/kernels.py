@@ -47,7 +47,8 @@ class Physics(NamedTuple):
     """What a step needs besides the state: numbers that stay the same along a rollout.
 
     The potential of the sheep is divided by n, their number. external is the form of an
-    `ExternalForce`, (): none.
+    `ExternalForce`, (): none. order is that of the motion in time: 2, or 1 without inertia, which
+    takes an alpha above 0.
     """
 
     n: int
@@ -56,6 +57,7 @@ class Physics(NamedTuple):
     dog: PotentialForm
     alpha: float
     external: ExternalForm = ()
+    order: int = 2
 
 
 @inlined
@@ -234,14 +236,21 @@ def step(
 ) -> None:
     """One Euler-Maruyama step of the sheep; a the acceleration, noise = sigma dB.
 
-    All are [2, lanes]. x_next and v_next may be x and v themselves.
+    All are [2, lanes]. x_next and v_next may be x and v themselves. Without inertia v has no
+    effect, and v_next is the velocity a / alpha that a alone gives.
     """
     dt, alpha = physics.dt, physics.alpha
     for c in range(2):
-        for i in range(x.shape[1]):
-            velocity = v[c, i]
-            x_next[c, i] = x[c, i] + dt * velocity
-            v_next[c, i] = velocity + dt * (a[c, i] - alpha * velocity) + noise[c, i]
+        if physics.order == 1:
+            for i in range(x.shape[1]):
+                velocity = a[c, i] / alpha
+                x_next[c, i] = x[c, i] + dt * velocity + noise[c, i] / alpha
+                v_next[c, i] = velocity
+        else:
+            for i in range(x.shape[1]):
+                velocity = v[c, i]
+                x_next[c, i] = x[c, i] + dt * velocity
+                v_next[c, i] = velocity + dt * (a[c, i] - alpha * velocity) + noise[c, i]
 
 
 @kernel
@@ -294,7 +303,7 @@ def centres(x: Array, v: Array, d: Array, noise: Array, physics: Physics, out: A
 def free_centres(noise: Array, sheep: int, physics: Physics, out: Array) -> None:
     """Put what noise[K, 2, sheep * paths] does to the centre of free sheep in out[K+1, 2, paths].
 
-    Only friction acts on free sheep; they start at rest in the origin.
+    Besides the noise only friction acts on free sheep; they start at rest in the origin.
     """
     paths = out.shape[2]
     x = np.zeros((2, paths))
@@ -458,8 +467,21 @@ def adjoint(x: Array, d: Array, source: Array, physics: Physics, dogs: Array) ->
     ring = np.zeros((3, 2, 2 * x.shape[2]))
     dogs[steps] = 0.0
     for k in range(steps - 1, -1, -1):
+        follow_positions(lam, mu, physics)
         hessian_products(x[k], mu, physics.n, physics.sheep, ring, h)
         adjoint_step(x[k], d[k], source[k], physics, h, lam, mu, dogs[k])
+
+
+@inlined
+def follow_positions(lam: Array, mu: Array, physics: Physics) -> None:
+    """Put lam / alpha in mu if sheep have no inertia: their velocities are no state of their own.
+
+    lam and mu are [2, ...]; of mu only as much as lam has is written.
+    """
+    if physics.order == 1:
+        for c in range(2):
+            for i in range(lam.shape[1]):
+                mu[c, i] = lam[c, i] / physics.alpha
 
 
 @inlined
@@ -467,7 +489,10 @@ def adjoint_step(
     x: Array, d: Array, source: Array, physics: Physics, h: Array, lam: Array, mu: Array,
     dogs: Array,
 ) -> None:  # fmt: skip
-    """One step back in time, as in `adjoint`; h holds the `hessian_products` of the sheep."""
+    """One step back in time, as in `adjoint`; h holds the `hessian_products` of the sheep.
+
+    It takes the mu of `follow_positions`.
+    """
     n = physics.n
     add_hessians_of_dogs(h[0], h[1], x[0], x[1], mu[0], mu[1], d, dogs, physics.dog)
     add_external_products(h, x, mu, physics.external)
@@ -477,7 +502,10 @@ def adjoint_step(
 
 @inlined
 def _step_back(lam: Array, mu: Array, h: Array, source: Array, dt: float, alpha: float) -> None:
-    """The transpose of `step`; h the products of all Hessians with mu."""
+    """The transpose of `step`; h the products of all Hessians with mu.
+
+    Without inertia the next `follow_positions` replaces mu.
+    """
     for i in range(lam.shape[0]):
         mu_i = mu[i]
         mu[i] = (1.0 - alpha * dt) * mu_i + dt * lam[i]
@@ -559,6 +587,7 @@ def centre_adjoints(x: Array, d: Array, nodes: Array, physics: Physics, dogs: Ar
     dogs[last:] = 0.0
     for k in range(last, -1, -1):
         if k < last:
+            follow_positions(lam, mu, physics)
             _hessians(x[k, :, :n], x[k], physics.sheep, flock)
             _hessians(d[k], x[k], physics.dog, dog)
             h[:] = 0.0

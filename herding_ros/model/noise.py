@@ -11,6 +11,8 @@ of two sheep's is c: 0 is the paper's individual noise, 1 the common noise B^i =
 What is drawn is sigma dB, which depends on no state; `random_force` multiplies it by f at the
 beginning of each step (Ito). Since the force acts on velocities and f depends on positions alone,
 Stratonovich's integral is the same, and Euler-Maruyama is Milstein's scheme: of strong order 1.
+In a crowd of first order it acts on positions. There the integral is Ito's, and the strong order
+1/2 where f depends on them.
 """
 
 from __future__ import annotations

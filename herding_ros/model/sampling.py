@@ -172,6 +172,8 @@ def _paths_in_field(
 def alone(fine: FineModel) -> Resolution:
     """Return sheep that only dogs act on, with a time step as long as friction and dogs allow."""
     friction = fine.crowd.friction
+    if fine.crowd.order == 1:  # nothing smooths how they follow the dogs
+        return Resolution(1)
     longest = min(_LONGEST_STEP, _STEP_PER_RELAXATION / friction if friction else np.inf)
     most = min(max(int(longest / fine.dt * (1.0 + 1e-9)), 1), fine.steps)
     return Resolution(1, next(k for k in range(most, 0, -1) if fine.steps % k == 0))
@@ -189,6 +191,7 @@ def no_variate(fine: FineModel, u: Array) -> Sampler:
 def free(fine: FineModel, u: Array) -> Sampler:
     """Return the centre of free sheep, f: f'' = -alpha f' + mean of sigma dB, f = f' = 0 at 0.
 
+    In a crowd of first order alpha f' is that mean.
     It is the direct effect of the noise on the centre; the effect through the forces of the dogs
     remains. It costs next to nothing.
     """

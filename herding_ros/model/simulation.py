@@ -89,6 +89,11 @@ class Simulation:
         self._process, self._sensor = flock.spawn(2)
 
     @property
+    def control_period(self) -> float:
+        """Time between two observations [s]."""
+        return self.world.control_period
+
+    @property
     def nanoseconds(self) -> int:
         """Simulated time since the start [ns]."""
         return self.periods * round(self.world.control_period * 1e9)
@@ -110,22 +115,26 @@ class Simulation:
         Commands beyond the speed limit are projected onto it. Raises ValueError, and leaves the
         state as it was, if forces or noise would take the herd beyond all numbers.
         """
-        from .dynamics import rollout  # a program's help needs no Numba
-        from .noise import increments
+        from .noise import increments  # a program's help needs no Numba
 
         world = self.world
         u = world.motion.project(u, world.max_speed)
         noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)
-        t = self.nanoseconds * 1e-9
-        trajectory = rollout(
-            self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
-        )
-        state = trajectory.at(-1)
+        state = self._moved(u, noise)
         if not np.isfinite(single(np.stack([state.x, state.v]))).all():
             raise ValueError('positions and velocities must be finite in single precision')
         self.state = state
         self.dog_velocities = u
         self.periods += 1
+
+    def _moved(self, u: Array, noise: Array) -> HerdState:
+        """Return the state after a control period of dogs' velocities u under this noise."""
+        from .dynamics import rollout
+
+        world, t = self.world, self.nanoseconds * 1e-9
+        return rollout(
+            self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
+        ).at(-1)
 
     def observe(self) -> Observation:
         """Return a noisy observation: true values plus independent Gaussian noise."""

@@ -19,6 +19,7 @@ from . import (
     sampling,
     stabilisation,
     stochasticity,
+    strangers,
     symmetry,
 )
 from .study import Row, Section, Study
@@ -38,6 +39,7 @@ FURTHER: dict[str, Study] = {
     'common_noise': common_noise,
     'mean_field': mean_field,
     'sampling': sampling,
+    'strangers': strangers,
 }
 """Studies of what the paper does not show, each with its own page."""
 

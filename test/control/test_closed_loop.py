@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
 
-from herding_ros.control.closed_loop import as_policy, closed_loop, ClosedLoopRun, play
+from herding_ros.control.closed_loop import as_policy, closed_loop, ClosedLoopRun, play, steer
 from herding_ros.control.costs.containment import Containment
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping
+from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping, OutOfStepError
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd, CROWDS
-from herding_ros.model.simulation import Simulation, World
+from herding_ros.model.simulation import Observation, Simulation, World
+from herding_ros.model.state import Array, HerdState
 import numpy as np
 import pytest
 
@@ -119,7 +120,9 @@ def test_run_is_what_the_simulation_did() -> None:
     assert run.u.shape == (100, 2, 2)
     np.testing.assert_allclose(run.t, 0.1 * np.arange(101), rtol=0, atol=1e-9)
     np.testing.assert_allclose(np.diff(run.d, axis=0), 0.1 * run.u, rtol=0, atol=1e-14)
-    assert len(run.reports) == 3  # at 0, 4 and 8 s
+    kinds = [report.kind for report in run.reports]
+    assert kinds.count('window') == 3  # at 0, 4 and 8 s
+    assert kinds.count('feedback') >= 7  # each second in between, and when surprised
     again = Simulation(Crowd(noise=0.02), world, GOAL)
     for u, x in zip(run.u, run.x[1:], strict=True):
         again.advance(u)
@@ -169,3 +172,52 @@ def test_flock_at_home_needs_no_herding() -> None:
 def test_bad_goals_are_refused(goal: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r'^goal '):
         closed_loop(Crowd(), World(), Control(), goal, 1.0)
+
+
+AHEAD = np.array([1.0, 0.0])
+
+
+class Pushed:
+    """Somebody's simulator: one sheep that keeps a metre ahead of a dog on a line."""
+
+    control_period = 0.5
+
+    def __init__(self) -> None:
+        still = np.zeros((1, 2))
+        self.state = HerdState(still + AHEAD, still, still)
+        self.dog_velocities = np.zeros((1, 2))
+
+    @property
+    def arrived(self) -> bool:
+        return bool(self.state.x[0, 0] >= 3.0)
+
+    def observe(self) -> Observation:
+        return Observation(self.state, self.dog_velocities)
+
+    def advance(self, u: Array) -> None:
+        d = self.state.d + self.control_period * u
+        self.state, self.dog_velocities = HerdState(d + AHEAD, u, d), u
+
+
+def test_any_plant_can_be_played() -> None:
+    seen = []
+
+    def policy(observed: HerdState, t: float) -> Array:
+        seen.append((t, float(observed.x[0, 0])))
+        return np.array([[1.0, 0.0]])
+
+    run = play(Pushed(), policy, 10.0)
+    assert run.home == len(run.u) == 4
+    np.testing.assert_allclose(run.t, [0.0, 0.5, 1.0, 1.5, 2.0])
+    np.testing.assert_allclose(run.x[:, 0, 0], run.t + 1.0)
+    assert seen == [(0.0, 1.0), (0.5, 1.5), (1.0, 2.0), (1.5, 2.5)]
+
+
+def test_a_planner_steers_any_plant_whose_period_it_knows() -> None:
+    horizon = Horizon(length=4.0, accepted=2.0, control_period=0.5)
+    control = Control(horizon=horizon, mapping=Mapping(max_iterations=0))
+    run = steer(Pushed(), RecedingHorizon(Crowd(), control, GOAL, 0), 4.0)
+    assert len(run.reports) == 2  # at 0 and 2 s
+    assert np.abs(run.u).max() > 0.0
+    with pytest.raises(OutOfStepError, match=r'dt \* substeps of the sim in lockstep, 0.5 s'):
+        steer(Pushed(), RecedingHorizon(Crowd(), SMALL, GOAL, 0), 4.0)

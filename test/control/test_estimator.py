@@ -74,6 +74,20 @@ class Watched:
         )
 
 
+def step_of(crowd: Crowd, dt: float) -> Array:
+    """Matrix of a time step of free sheep, for position and velocity in one coordinate."""
+    if crowd.order == 1:
+        return np.array([[1.0, 0.0], [0.0, 0.0]])
+    return np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
+
+
+def force_of(crowd: Crowd, dt: float) -> Array:
+    """Covariance that the random force adds in a time step."""
+    if crowd.order == 1:
+        return np.diag([(crowd.noise / crowd.friction) ** 2 * dt, 0.0])
+    return np.diag([0.0, crowd.noise**2 * dt])
+
+
 class DenseFilter:
     """The textbook: one Kalman filter with dense matrices for the whole herd, dogs included.
 
@@ -113,21 +127,23 @@ class DenseFilter:
         sheep, dogs = self.mean[: 4 * n].reshape(n, 4), self.mean[4 * n :].reshape(-1, 2)
         moved = sheep.copy()
         for i in range(n):
-            force = -crowd.friction * sheep[i, 2:]
+            force = np.zeros(2)
             for j in range(n):
                 if i != j:
                     force = force + self.pull(sheep[i, :2] - sheep[j, :2], crowd.sheep) / n
             for dog in dogs:
                 force = force + self.pull(sheep[i, :2] - dog, crowd.dog)
-            moved[i, :2] += dt * sheep[i, 2:]
-            moved[i, 2:] += dt * force
+            if crowd.order == 1:
+                moved[i, 2:] = force / crowd.friction
+                moved[i, :2] += dt * moved[i, 2:]
+            else:
+                moved[i, :2] += dt * sheep[i, 2:]
+                moved[i, 2:] += dt * (force - crowd.friction * sheep[i, 2:])
         self.mean = np.array([*moved.ravel(), *(dogs + dt * u).ravel()])
-        one = np.eye(4)
-        one[0, 2] = one[1, 3] = dt
-        one[2, 2] = one[3, 3] = 1.0 - dt * crowd.friction
+        one = np.kron(step_of(crowd, dt), np.eye(2))
         forward = block_diag(*[one] * n, np.eye(2 * len(dogs)))
-        random = crowd.noise**2 * dt
-        force = np.diag([0.0, 0.0, random, random] * n + [SLIP**2 * dt] * (2 * len(dogs)))
+        random = np.repeat(np.diag(force_of(crowd, dt)), 2)
+        force = np.diag([*random] * n + [SLIP**2 * dt] * (2 * len(dogs)))
         self.covariance = forward @ self.covariance @ forward.T + force
 
     def correct(self, observed: HerdState) -> None:
@@ -144,6 +160,7 @@ class DenseFilter:
         (replace(FLOCK, noise=0.03, friction=1.0), Sensor(0.02, 0.005)),
         (replace(FLOCK, dog=Morse(0.1, 0.04, 5e-4, 2.0)), NOISY),
         (CROWDS['printed'], Sensor(0.03, 0.01)),
+        (replace(FLOCK, order=1), NOISY),
     ],
 )
 def test_it_is_the_textbook_filter(
@@ -170,8 +187,7 @@ def test_it_is_the_textbook_filter(
 def system(crowd: Crowd, sensor: Sensor) -> tuple[Array, Array, Array]:
     """Matrix of a control period, of its random force and of the sensor, for one coordinate."""
     dt = PERIOD / SUBSTEPS
-    step = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]])
-    force = np.diag([0.0, crowd.noise**2 * dt])
+    step, force = step_of(crowd, dt), force_of(crowd, dt)
     forward, total = np.eye(2), np.zeros((2, 2))
     for _ in range(SUBSTEPS):
         forward, total = step @ forward, step @ total @ step.T + force
@@ -192,6 +208,7 @@ def steady(crowd: Crowd, sensor: Sensor) -> tuple[Array, Array]:
         (APART, NOISY),
         (replace(APART, noise=0.04), Sensor(0.01, 0.0)),
         (replace(APART, friction=0.0), NOISY),
+        (replace(APART, order=1, friction=0.3), NOISY),
     ],
 )
 def test_gain_becomes_that_of_the_riccati_equation(crowd: Crowd, sensor: Sensor) -> None:
@@ -470,12 +487,13 @@ def test_an_exact_sensor_is_believed_to_the_bit(random_herd: Callable[..., HerdS
 def test_a_controller_with_an_exact_sensor_plans_from_what_it_sees() -> None:
     """The loop is the one without any filter, written out here."""
     crowd, world = Crowd(noise=0.02), World(sheep=9, dogs=2, seed=1)
-    control = Control(horizon=Horizon(length=8.0, accepted=4.0), mapping=Mapping(paths=20))
+    horizon = Horizon(length=8.0, accepted=4.0, feedback=4.0)
+    control = Control(horizon=horizon, mapping=Mapping(paths=20))
     run = closed_loop(crowd, world, control, GOAL, 10.0)
     planner = RecedingHorizon(crowd, control, GOAL, world.seed)
 
     def unfiltered(observed: HerdState, t: float) -> Array:
-        if planner.due(t):
+        if round(t / PERIOD) % 40 == 0:
             planner.solve(observed, t)
         assert planner.plan is not None
         return planner.plan.at(t)

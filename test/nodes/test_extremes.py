@@ -13,7 +13,7 @@ from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.parameters import Parameters
-from herding_ros.model.potentials import Mollified, Morse, PowerLaw
+from herding_ros.model.potentials import Harmonic, Mollified, Morse, PowerLaw
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import World
 from herding_ros.nodes import messages
@@ -25,7 +25,12 @@ import numpy as np
 SIZES = {'sheep', 'substeps', 'most_sheep', 'coarse.markers', 'mapping.paths', 'horizon.substeps'}
 """Large values are no more than large; they take minutes or all memory."""
 
-CROWDS = [Crowd(), Crowd(PowerLaw(), PowerLaw()), Crowd(Mollified(Morse()))]
+CROWDS = [
+    Crowd(),
+    Crowd(PowerLaw(), PowerLaw()),
+    Crowd(Mollified(Morse())),
+    Crowd(Harmonic(), Harmonic(), order=1),
+]
 SIM = [SimSettings(), World(sheep=3, dogs=2)]
 CONTROL = Control(horizon=Horizon(length=0.4, accepted=0.2), mapping=Mapping(paths=4))
 CONTROLLER = [ControllerSettings(dogs=2), CONTROL]

@@ -177,7 +177,7 @@ class Shared:
         self.results: dict[str, dict[str, Any]] = {}
 
     def __call__(self, **parameters: Any) -> dict[str, Any]:
-        kept = ('policy', 'trace', 'snapshots', 'flocks')
+        kept = ('policy', 'trace', 'snapshots', 'flocks', 'plant')
         kind = str((sorted(parameters), [parameters.get(name) for name in kept]))
         if kind not in self.results:
             self.results[kind] = self.experiment(**parameters)

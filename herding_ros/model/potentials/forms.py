@@ -17,12 +17,13 @@ MorseCoefficients = tuple[float, float, float, float]
 
 
 class Table(NamedTuple):
-    """P'/r of any potential P by cubic pieces in r**2, see `table`.
+    """P'/r of any potential P by cubic pieces in z = scale r**2, see `table`.
 
-    On piece i it is c0[i] + c1[i] t + c2[i] t**2 + c3[i] t**3 with t = r**2 less that
-    at the beginning of the piece. low and high are the ends of all pieces [m^2].
+    On piece i it is c0[i] + c1[i] t + c2[i] t**2 + c3[i] t**3 with t = z less that at the
+    beginning of the piece. low and high are the ends of all pieces, scale is in 1/m^2.
     """
 
+    scale: float
     low: float
     high: float
     c0: Array
@@ -75,23 +76,24 @@ def exp_neg(x: float) -> float:
 
 
 # A piece of a table is as long as a double's leading bits last: its number and its beginning
-# are read off the bits of r**2 (bit-mapped tables; Wolff and Rudd 1999).
+# are read off the bits of z (bit-mapped tables; Wolff and Rudd 1999).
 _PIECE_BITS = 7
 _SHIFT = 52 - _PIECE_BITS
 _BEGINNING = np.int64(-1) << _SHIFT
 
 
 def table_nodes(low: float, high: float) -> Array:
-    """Return ends of pieces that cover r**2 from low > 0 to high [m^2], in increasing order."""
+    """Return ends of pieces that cover z from low > 0 to high, in increasing order."""
     first, last = (int(np.float64(end).view(np.int64)) >> _SHIFT for end in (low, high))
     return (np.arange(first, last + 2) << _SHIFT).view(np.float64)
 
 
-def table(nodes: Array, a: Array, slope: Array) -> Table:
-    """Return the table with values a = P'/r and slopes da/d(r**2) at the `table_nodes`."""
+def table(nodes: Array, a: Array, slope: Array, scale: float) -> Table:
+    """Return the table with values a = P'/r and slopes da/dz at the `table_nodes`."""
     length = np.diff(nodes)
     mean = np.diff(a) / length
     return Table(
+        scale,
         float(nodes[0]),
         float(np.nextafter(nodes[-1], 0.0)),
         a[:-1].copy(),
@@ -111,7 +113,7 @@ def divided(p: PotentialForm, n: int) -> PotentialForm:
 @exact
 def _piece(r2: float, p: Table) -> tuple[Any, float]:
     """Return the number of the piece that holds r2, and the distance from its beginning."""
-    z = min(max(r2, p.low), p.high)
+    z = min(max(p.scale * r2, p.low), p.high)
     bits = np.float64(z).view(np.int64)
     first = np.float64(p.low).view(np.int64) >> _SHIFT
     t = z - np.int64(bits & _BEGINNING).view(np.float64)
@@ -146,7 +148,7 @@ def _morse_hessian(r2: float, p: MorseCoefficients) -> tuple[float, float]:
 def _table_hessian(r2: float, p: Table) -> tuple[float, float]:
     i, t = _piece(r2, p)
     a = p.c0[i] + t * (p.c1[i] + t * (p.c2[i] + t * p.c3[i]))
-    b = 2.0 * (p.c1[i] + t * (2.0 * p.c2[i] + 3.0 * t * p.c3[i]))
+    b = 2.0 * p.scale * (p.c1[i] + t * (2.0 * p.c2[i] + 3.0 * t * p.c3[i]))
     return a, b
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+import math
 from typing import Any
 
 from herding_ros.model.parameters import quantity, TINY
@@ -46,11 +47,13 @@ class Mollified(Potential):
 
     def value(self, r: Array) -> Array:
         """P(r) [m^2/s^2]."""
+        reach = self.potential.reach
+        beyond = self.potential.value(np.array([reach]))[0] if math.isfinite(reach) else 0.0
 
         def integrand(s: Array, z: Array) -> Array:
-            return self.potential.value(s) * _bessel().i0e(z)
+            return (self.potential.value(s) - beyond) * _bessel().i0e(z)
 
-        return self._integral(r, integrand)
+        return beyond + self._integral(r, integrand)
 
     def derivative(self, r: Array) -> Array:
         """P'(r) [m/s^2]."""
@@ -75,11 +78,13 @@ class Mollified(Potential):
         """Integrate integrand(s, r s / width^2) g(r, s) over s, for r of any shape.
 
         Near by fixed panels, far out, where all is smooth over a width, by Gauss and Hermite.
+        Nothing is smooth where a potential ends: then by panels alone, which end there as well.
         """
-        flat = np.ravel(r) / self.width
-        far = flat >= _WINDOW
+        flat, end = np.ravel(r) / self.width, self.potential.reach / self.width
+        ends = math.isfinite(end)
+        far = np.full(flat.shape, False) if ends else flat >= _WINDOW
         out = np.empty_like(flat)
-        t, weights = _panels()
+        t, weights = _panels(end if ends else 2.0 * _WINDOW)
         nodes, far_weights = np.polynomial.hermite_e.hermegauss(_FAR_NODES)
         for here, s, w in (
             (~far, t, weights * np.exp(-0.5 * np.square(flat[~far, None] - t))),
@@ -97,10 +102,14 @@ def _bessel() -> Any:
 
 
 @cache
-def _panels() -> tuple[Array, Array]:
-    """Return Gauss nodes and weights, in widths, that resolve short ranges and the Gaussian."""
+def _panels(end: float) -> tuple[Array, Array]:
+    """Return Gauss nodes and weights from 0 to the end, in widths.
+
+    They resolve short ranges and the Gaussian.
+    """
     small = 0.5 ** np.arange(_HALVINGS, -1.0, -1.0)
-    edges = np.concatenate([[0.0], small, np.arange(2.0, 2.0 * _WINDOW + 1.0)])
+    edges = np.concatenate([[0.0], small, np.arange(2.0, math.ceil(end))])
+    edges = np.append(edges[edges < end], end)
     x, w = np.polynomial.legendre.leggauss(_PER_PANEL)
     middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
     return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * w).ravel()

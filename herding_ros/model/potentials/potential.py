@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import cache
+import math
 from typing import TYPE_CHECKING
 
 from herding_ros.model.parameters import Parameters
@@ -23,7 +24,8 @@ class Potential(Parameters):
 
     Positive slopes attract, negative ones repel. A new one is a frozen dataclass
     with these three methods, each for arrays of any shape, r > 0. The paper asks for bounded
-    and locally Lipschitz first and second derivatives.
+    and locally Lipschitz first and second derivatives. A potential that ends at some distance
+    has a `reach`, where its second derivative may jump.
     """
 
     @abstractmethod
@@ -39,8 +41,13 @@ class Potential(Parameters):
         """P''(r) [1/s^2]."""
 
     @property
+    def reach(self) -> float:
+        """Distance [m] from which on there is no force; infinite unless a potential says it."""
+        return math.inf
+
+    @property
     def nearest(self) -> float:
-        """Distance [m] within which a table takes P'/r for constant."""
+        """Distance [m] within which a table takes P'/r for constant, if its reach is longer."""
         return 1e-6
 
     def kernel_form(self) -> PotentialForm:
@@ -57,15 +64,21 @@ class Potential(Parameters):
 
 @cache
 def _table(potential: Potential) -> Table:
-    """Tabulate P'/r by cubic pieces in r**2, with the derivative in r**2 given at the nodes.
+    """Tabulate P'/r by cubic pieces in z = r**2 / unit**2, with the derivative in z at the nodes.
 
     Nodes stand closer where r is small, at a fixed relative distance: 128 from one power of
     two to the next. The error falls with its fourth power: 1e-9 relative for P' like r**-1.
+    The unit is 1 m or the finite reach. Then a node, z = 1, stands there, the piece before it has
+    the derivatives on its own side, and the last one, beyond, is zero.
     """
     from . import forms  # a program's help needs no Numba
 
-    nodes = forms.table_nodes(potential.nearest**2, _FARTHEST**2)
-    r = np.sqrt(nodes)
+    ends = math.isfinite(potential.reach)
+    unit, near, far = 1.0, potential.nearest, _FARTHEST
+    if ends:
+        unit, near, far = potential.reach, min(potential.nearest / potential.reach, 1e-3), 1.0
+    nodes = forms.table_nodes(near**2, far**2)
+    r = np.minimum(unit * np.sqrt(nodes), np.nextafter(potential.reach, 0.0))
     a = potential.derivative(r) / r
     slope = (potential.second_derivative(r) - a) / (2.0 * nodes)
     for name, values in (('derivative', a), ('second_derivative', slope)):
@@ -74,4 +87,8 @@ def _table(potential: Potential) -> Table:
                 f'{type(potential).__name__}.{name} must be finite at all distances, got '
                 f'{values[~np.isfinite(values)][0]:g} at {r[~np.isfinite(values)][0]:g}'
             )
-    return forms.table(nodes, a, slope)
+    form = forms.table(nodes, a, slope, 1.0 / unit**2)
+    if ends:
+        for coefficient in (form.c0, form.c1, form.c2, form.c3):
+            coefficient[-1] = 0.0
+    return form

@@ -37,6 +37,11 @@ class Tabulated(Potential):
         object.__setattr__(self, 'distances', tuple(r.tolist()))
         object.__setattr__(self, 'values', tuple(values.tolist()))
 
+    @property
+    def reach(self) -> float:
+        """Distance [m] from which on there is no force: the last one."""
+        return self.distances[-1]
+
     @cached_property
     def _spline(self) -> Any:
         # Imported where it is needed: nodes would start later by a tenth of a second.

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from . import direct, herding, mean_field, sampling, symmetry, variant, window
+from . import direct, herding, mean_field, sampling, strangers, symmetry, variant, window
 from .case import Case
 
 EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
@@ -17,6 +17,7 @@ EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
     'mean_field_mapping': Case.experiment(window.large_flock),
     'mean_field_replan': mean_field.replan,
     'sampling': sampling.run,
+    'strangers': strangers.run,
     'symmetry': symmetry.run,
     'variant': Case.experiment(variant.run),
     'window': Case.experiment(window.table),

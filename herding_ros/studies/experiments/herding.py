@@ -15,7 +15,6 @@ from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.crowd import CROWDS
 from herding_ros.model.flock import Arrival
-from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -23,6 +22,7 @@ import numpy as np
 from .measures import course, measures, plans, snapshots_at
 from .starts import arranged
 from .strombom import Strombom
+from .truths import NO_FORCE
 
 _QUANTITIES = {'position': 'x', 'velocity': 'v', 'dog': 'd'}
 
@@ -122,7 +122,7 @@ def run(
     elif policy == 'strombom':
         decide = Strombom(destination, np.random.default_rng([seed, 30_000]), **settings)
     elif policy == 'none':
-        herd = replace(herd, dog=Morse(0.0, 1.0, 0.0, 1.0))
+        herd = replace(herd, dog=NO_FORCE)
     else:
         raise ValueError(f"policy must be 'planner', 'strombom' or 'none', got {policy!r}")
     simulation = Simulation(herd, world, destination)

@@ -53,11 +53,11 @@ class Strombom:
         offset = posts[taken] - observed.d
         left = np.linalg.norm(offset, axis=1, keepdims=True)
         angle = self.rng.uniform(0.0, 2.0 * np.pi, len(offset))
-        heading = _unit(offset) + self.noise * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        heading = unit(offset) + self.noise * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         gaps = np.linalg.norm(observed.d[:, None] - observed.x, axis=-1).min(axis=1)
         speed = np.where(gaps < 3.0 * self.sheep_distance, self.slow, 1.0) * self.max_speed
         # A dog closer than the distance of a control period would run to and fro.
-        return _unit(heading) * np.minimum(speed[:, None], left / _PATIENCE)
+        return unit(heading) * np.minimum(speed[:, None], left / _PATIENCE)
 
     def posts(self, x: Array, dogs: int) -> Array:
         """Return the posts of the dogs (dogs, 2) [m] for sheep at x (N, 2) [m]."""
@@ -65,7 +65,7 @@ class Strombom:
         away = np.linalg.norm(x - middle, axis=1)
         strays = [i for i in np.argsort(-away, kind='stable') if away[i] > r * n ** (2.0 / 3.0)]
         strays = strays[:dogs]
-        collect = x[strays] + r * _unit(x[strays] - middle)
+        collect = x[strays] + r * unit(x[strays] - middle)
         drivers = dogs - len(strays)
         back = np.arctan2(*(middle - self.goal)[::-1])
         angles = back + self.arc * (np.arange(drivers) - 0.5 * (drivers - 1))
@@ -77,7 +77,7 @@ _PATIENCE = 0.1
 """A post closer than the distance that a dog covers in this time [s] is approached slowly."""
 
 
-def _unit(vectors: Array) -> Array:
-    """Return vectors (n, 2) at length 1; zero stays zero."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+def unit(vectors: Array) -> Array:
+    """Return vectors (..., 2) at length 1; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
