@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from herding_ros.model.flock import centre
-from herding_ros.model.scenario import DOG_RADIUS
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
@@ -30,13 +29,16 @@ def _strays(herd: HerdState, ahead: Array) -> HerdState:
 def _inside(herd: HerdState, ahead: Array) -> HerdState:
     """Put the dogs in the midst of the flock."""
     angles = 2.0 * np.pi * np.arange(len(herd.d)) / len(herd.d)
-    return _with_dogs(herd, _INSIDE, ahead, angles)
+    d = herd.d.copy()
+    d[:, :2] = centre(herd.x) + _INSIDE * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return replace(herd, d=d)
 
 
 def _in_front(herd: HerdState, ahead: Array) -> HerdState:
     """Put the dogs on the side of the goal."""
-    angles = np.linspace(-0.9, 0.9, len(herd.d)) if len(herd.d) > 1 else np.zeros(1)
-    return _with_dogs(herd, DOG_RADIUS, ahead, angles)
+    d = herd.d.copy()
+    d[:, :2] *= -1.0
+    return replace(herd, d=d)
 
 
 def _clusters(herd: HerdState, ahead: Array) -> HerdState:
@@ -64,11 +66,3 @@ def arranged(start: str, herd: HerdState, goal: Array) -> HerdState:
 
 def _aside(ahead: Array) -> Array:
     return np.array([-ahead[1], ahead[0]])
-
-
-def _with_dogs(herd: HerdState, radius: float, ahead: Array, angles: Array) -> HerdState:
-    """Put the dogs around the centre at angles (M,) [rad] from the direction of the goal."""
-    angles = angles + np.arctan2(ahead[1], ahead[0])
-    d = herd.d.copy()
-    d[:, :2] = centre(herd.x) + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    return replace(herd, d=d)
