@@ -26,6 +26,10 @@ def run_in_thread(function: Callable[[], None]) -> None:
     threading.Thread(target=function, name='planner', daemon=True).start()
 
 
+WHOLE = 'whole'
+"""A kind of step, for `StepTimes`: all of a work."""
+
+
 class StepTimes:
     """The longest recent duration of each kind of step [s]; a guess before the first.
 
@@ -85,6 +89,7 @@ class Work(Generic[_T]):
         self._steps = 0
         self._step: str | None = None  # that is under way
         self._begun = 0.0  # when it was
+        self._created = now()
         self._dropped = threading.Event()
         self._ended: float | None = None
         run(self._run)
@@ -117,6 +122,7 @@ class Work(Generic[_T]):
             self.error = error
         ended = self._now()
         self._end_step(ended)
+        self._times.record(WHOLE, ended - self._created)
         self._ended = ended
 
     def _has_no_time_for(self, step: str) -> bool:

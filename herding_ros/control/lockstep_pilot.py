@@ -3,20 +3,20 @@
 
 from __future__ import annotations
 
-from herding_ros.model.state import HerdState
 import numpy as np
 
 from .parameters import check_lockstep
-from .pilot import Announcement, Condition, Decision, Observed, Pilot, Planner
+from .pilot import Announcement, Condition, Decision, Observed, Pilot, Planner, SLACK
 from .schedule import Request, ScheduledPlan
 
 
 class LockstepPilot(Pilot):
     """Replies to each observation, and makes a plan first if one is due.
 
-    A plan is due when the accepted part of the last one is over, when the goal has moved, or when
-    time was set back. One that cannot be made is tried again at the next observation; until then
-    the last plan is played to its end.
+    A window is due when the accepted part of the last one is over, when the goal has moved, or
+    when time was set back. In between the plan is improved every `horizon.feedback`, and at once
+    on a surprise. A plan that cannot be made is tried again at the next observation; until then
+    the last one is played to its end.
     """
 
     def __init__(self, planner: Planner, dogs: int) -> None:
@@ -38,13 +38,12 @@ class LockstepPilot(Pilot):
         t = self._advance_to(observed.t)
         self._check_period(observed.stamp)
         self._visible = observed.dogs
-        state = self._observe(observed).state
+        estimate = self._observe(observed)
         announcement = None
-        if self._is_plan_due(observed):
-            try:
-                announcement = self._make_plan(observed, state)
-            except Exception as error:
-                self._record_failure(error)
+        try:
+            announcement = self._plan_if_due(estimate)
+        except Exception as error:
+            self._record_failure(error)
         stand = np.zeros((self.dogs, 2))
         command = stand if self._plan is None else self._plan.velocities(t, self.dogs)
         return self._decision(command, announcement)
@@ -63,17 +62,16 @@ class LockstepPilot(Pilot):
             return Condition('standing: no plan could be made', False)
         return Condition('replying in lockstep', True)
 
-    def _is_plan_due(self, observed: Observed) -> bool:
-        last = self._plan
-        return (
-            last is None
-            or last.request != Request(self._goal, observed.dogs)
-            or self._planner.due(self._time)
-        )
-
-    def _make_plan(self, observed: Observed, state: HerdState) -> Announcement:
+    def _plan_if_due(self, estimate: Observed) -> Announcement | None:
+        last, t = self._plan, self._time
+        request = Request(self._goal, estimate.dogs)
+        if last is None or last.request != request or t > last.accepted_until - SLACK:
+            make, accepted_until = self._planner.solve, t + self._control.horizon.accepted
+        elif self._is_feedback_due(last, estimate):
+            make, accepted_until = self._planner.improve, last.accepted_until
+        else:
+            return None
         self._prepare_planner()
-        window = self._planner.solve(state, self._time, lambda _: self._stopping.is_set())
-        request = Request(self._goal, observed.dogs)
-        self._plan = ScheduledPlan(window, request, self._control.horizon.accepted)
+        window = make(estimate.state, t, lambda _: self._stopping.is_set())
+        self._plan = ScheduledPlan(window, request, t, accepted_until)
         return self._announce(self._plan, 0.0)

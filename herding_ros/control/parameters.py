@@ -72,7 +72,15 @@ class Horizon(Parameters):
 
     length: float = quantity(20.0, 'time that is planned ahead', 's', low=TINY, live=True)
     accepted: float = quantity(
-        10.0, 'time between two plans, half the length', 's', low=TINY, live=True
+        10.0, 'time between two windows, half the length', 's', low=TINY, live=True
+    )
+    feedback: float = quantity(
+        1.0,
+        'age at which a plan is improved from what is observed, between two windows; no less '
+        'than `accepted`: not at all',
+        's',
+        low=TINY,
+        live=True,
     )
     control_period: float = quantity(0.1, 'time for which a command is constant', 's', low=1e-6)
     substeps: int = quantity(
@@ -82,7 +90,7 @@ class Horizon(Parameters):
     def __post_init__(self) -> None:
         """Check that the time grids fit into each other."""
         super().__post_init__()
-        for name in ('length', 'accepted'):
+        for name in ('length', 'accepted', 'feedback'):
             ratio = getattr(self, name) / self.control_period
             if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
                 raise ValueError(
@@ -99,6 +107,11 @@ class Horizon(Parameters):
                 f'Horizon.accepted must be at most the length, {self.length!r}, '
                 f'got {self.accepted!r}'
             )
+
+    @property
+    def has_feedback(self) -> bool:
+        """Whether plans are improved between two windows."""
+        return self.feedback < self.accepted - 0.5 * self.control_period
 
     @property
     def intervals(self) -> int:
@@ -153,6 +166,9 @@ class Optimiser(Parameters):
         low=0.0,
     )
     max_iterations: int = quantity(60, 'most iterations of one solve', low=1, high=10_000)
+    feedback_iterations: int = quantity(
+        8, 'most iterations of an improvement between two windows', low=1, high=10_000
+    )
 
 
 @dataclass(frozen=True)
@@ -244,6 +260,7 @@ class Control(Parameters):
 PAPER = Control(
     weights=Weights(centre=1.0, spread=1.0, dogs=0.0),
     reference=Reference(kind='interpolated'),
+    horizon=Horizon(feedback=10.0),
     optimiser=Optimiser(tolerance=5e-3),
     mapping=Mapping('aggressive', 'plain', standard_error=0.0, tolerance=0.3),
 )

@@ -23,6 +23,7 @@ from .estimator import StateEstimator
 from .parameters import Control
 from .schedule import ScheduledPlan
 from .solution import NoTimeFor
+from .surprise import is_surprising
 from .window import Window
 
 SLACK = 1e-6
@@ -39,9 +40,6 @@ class Planner(Protocol):
     control: Control
     goal: Array
 
-    def due(self, t: float) -> bool:
-        """Return whether the accepted part of the last plan is over at t [s]."""
-
     def move_goal(self, goal: Array) -> None:
         """Plan for another goal (2,) [m] from the next solve on."""
 
@@ -53,6 +51,9 @@ class Planner(Protocol):
 
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = ...) -> Window:
         """Plan the window that starts at t [s] in the given state."""
+
+    def improve(self, state: HerdState, t: float, no_time_for: NoTimeFor = ...) -> Window:
+        """Improve the plan that is played at t [s] in the given state, from there on."""
 
 
 @dataclass(frozen=True)
@@ -210,6 +211,26 @@ class Pilot:
                 state = observed.state
             last = self.estimate = replace(observed, state=state)
         return last
+
+    def _is_feedback_due(self, plan: ScheduledPlan, estimate: Observed) -> bool:
+        """Whether a plan, made for the dogs that are visible, is to be improved.
+
+        It is once the observation that it was made from is `horizon.feedback` old, when the goal
+        has moved, or when the flock is not where the plan has it.
+        """
+        horizon = self._control.horizon
+        if not horizon.has_feedback or plan.request.dogs != estimate.dogs:
+            return False
+        age = estimate.t - plan.observed
+        if age < SLACK:
+            return False
+        return (
+            age > horizon.feedback - SLACK
+            or plan.request.goal != self._goal
+            or is_surprising(
+                self._crowd, self._control.sensor, plan.window, age, estimate.state, estimate.t
+            )
+        )
 
     def _announce(self, plan: ScheduledPlan, margin: float) -> Announcement:
         self.plans_made += 1

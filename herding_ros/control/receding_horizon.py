@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The receding horizon: window after window, from a measured state to a plan."""
+"""The receding horizon: window after window, and feedback in between.
+
+A window is planned from a measured state, and corrected for the noise by the space mapping. Its
+defect, by which the expected centre is off the coarse model's, is kept: a feedback improves the
+plan from a newer state by a few iterations of the coarse solve, in which the flock is expected
+where the coarse model has it plus that defect.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +15,7 @@ from functools import partial
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
-from herding_ros.model.flock import centre
+from herding_ros.model.flock import centre, spread
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState
@@ -24,7 +30,7 @@ from .parameter_extraction import ParameterExtraction
 from .parameters import Control
 from .plan import Plan
 from .reference import reference
-from .solution import Budget, never, NoTimeFor, OutOfTime, Problem, Solution, Status
+from .solution import Budget, never, NoTimeFor, Problem, Solution, Status
 from .solve_report import SolveReport, Stopwatch
 from .space_mapping import (
     aggressive_mapping,
@@ -41,6 +47,26 @@ from .window import Window
 OPTIMISERS = {'spg': spg, 'ncg': ncg}
 
 
+_SLACK = 1e-6
+"""Seconds since 1970 in double precision are exact to 2.4e-7 s."""
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """A plan with its defect (intervals + 1, 2) [m]: expected minus coarse centre."""
+
+    plan: Plan
+    defect: Array
+
+    def defect_from(self, t: float) -> Array:
+        """Return the defect (intervals + 1, 2) [m] of a plan of equal length from t [s] on.
+
+        From a state that is known at t it grows as it did from the one that was known at the
+        start.
+        """
+        return self.defect
+
+
 @dataclass
 class RecedingHorizon:
     """Plans window after window, each solve started from what the last one found.
@@ -55,7 +81,7 @@ class RecedingHorizon:
     goal: Array
     seed: int = 0
     costs: Sequence[Cost] = ()
-    _last: Plan | None = field(default=None, init=False)
+    _planned: list[_Planned] = field(default_factory=list, init=False)  # by their starts
     _noise: Noise | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
 
@@ -65,26 +91,16 @@ class RecedingHorizon:
 
     @property
     def plan(self) -> Plan | None:
-        """The plan of the last window; None before the first."""
-        return self._last
-
-    def due(self, t: float) -> bool:
-        """Whether a new plan is due at t [s]: the accepted part of the last one is played.
-
-        Also when t lies before the last plan, since then time was set back.
-        """
-        if self._last is None:
-            return True
-        played = self._last.index(t) * self._last.dt
-        return played < 0 or played > self.control.horizon.accepted - 0.5 * self._last.dt
+        """The plan that begins last; None before the first."""
+        return self._planned[-1].plan if self._planned else None
 
     def move_goal(self, goal: Array) -> None:
         """Plan for another destination (2,) [m] from the next solve on."""
         self.goal = finite('goal', goal, (2,))
 
     def restart(self) -> None:
-        """Forget the last plan: the next solve starts from standing dogs."""
-        self._last = None
+        """Forget all plans: the next solve starts from standing dogs."""
+        self._planned = []
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         """Plan with these from the next solve on."""
@@ -107,8 +123,13 @@ class RecedingHorizon:
         clock = Stopwatch()
         control, horizon = self.control, self.control.horizon
         coarse = self.coarse_model(state)
+        budget = Budget(
+            control.optimiser.max_iterations,
+            control.optimiser.tolerance,
+            partial(no_time_for, 'coarse'),
+        )
         with clock.phase('coarse'):
-            solution, costs = self._solve_coarse(coarse, t, partial(no_time_for, 'coarse'))
+            solution, costs = self._solve_coarse(coarse, t, budget)
             target = centre(coarse.rollout(solution.u).x)
         expected: list[Expectation] = []
         extraction_calls = 0
@@ -133,39 +154,83 @@ class RecedingHorizon:
             problem = MappingProblem(clock.timing('fine', fine), misfit, solution.u)
             mapping = self._map(problem, extraction, coarse, clock, no_time_for)
             extraction_calls = extraction.calls
-        plan = self._last = Plan(t, horizon.control_period, mapping.u)
-        report = SolveReport.of(solution, mapping, expected, extraction_calls, clock.seconds())
-        dogs = coarse.dogs(plan.u)[:, :2].transpose(0, 2, 1)
-        return Window(plan, report, horizon.dt, mapping.output, dogs)
+        with clock.phase('coarse'):
+            predicted = coarse.rollout(mapping.u)
+        plan = Plan(t, horizon.control_period, mapping.u)
+        defect = mapping.output - centre(predicted.x)
+        # It may be planned ahead: until it starts, what was planned before is played.
+        played = [each for each in self._planned if each.plan.end > t + _SLACK]
+        self._planned = _in_order([*played, _Planned(plan, defect[:: horizon.substeps])])
+        report = SolveReport.of(
+            'window', solution, mapping, expected, extraction_calls, clock.seconds()
+        )
+        return Window(plan, report, horizon.dt, mapping.output, spread(predicted.x), predicted.d)
+
+    def improve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
+        """Improve the plan that is played at t [s] in the given state, by few iterations.
+
+        The plan that is returned starts at t and is as long as a window. It is predicted on the
+        control's own time grid. no_time_for is called with 'coarse', see `solve`.
+        """
+        clock = Stopwatch()
+        optimiser, horizon = self.control.optimiser, self.control.horizon
+        coarse = self.coarse_model(state)
+        coarse = replace(coarse, dt=coarse.interval, substeps=1)
+        budget = Budget(
+            optimiser.feedback_iterations, optimiser.tolerance, partial(no_time_for, 'coarse')
+        )
+        last = self._playing(t)
+        defect: Array = np.zeros((horizon.intervals + 1, 2))
+        if last is not None and last.defect.shape == defect.shape:
+            defect = last.defect_from(t)
+        with clock.phase('coarse'):
+            solution, _ = self._solve_coarse(coarse, t, budget, defect)
+            predicted = coarse.rollout(solution.u)
+        expected_centre = centre(predicted.x) + defect
+        plan = Plan(t, horizon.control_period, solution.u)
+        waiting = [each for each in self._planned if each.plan.t0 > t + _SLACK]
+        self._planned = _in_order([_Planned(plan, defect), *waiting])
+        mapping = MappingResult(solution.u, expected_centre, Status.CONVERGED)
+        report = SolveReport.of('feedback', solution, mapping, [], 0, clock.seconds())
+        return Window(
+            plan, report, horizon.control_period, expected_centre, spread(predicted.x), predicted.d
+        )
+
+    def _playing(self, t: float) -> _Planned | None:
+        """Return the plan that is played at t [s]: of those that have begun, the last."""
+        begun = [each for each in self._planned if each.plan.t0 <= t + _SLACK]
+        return begun[-1] if begun else None
 
     def _solve_coarse(
-        self, coarse: CoarseModel, t: float, out_of_time: OutOfTime
+        self, coarse: CoarseModel, t: float, budget: Budget, defect: Array | float = 0.0
     ) -> tuple[Solution, list[Cost]]:
-        """Minimise the cost of the window without noise, from the last plan on.
+        """Minimise the cost of the window without noise, from the plan that is played on.
 
-        Most of it is done on the control's own time grid, where a step is cheaper. Also return
-        the costs on the finer one, control effort apart.
+        The flock is expected where the coarse model has it plus the defect, on the finest time
+        grid. Most of the work is done on the control's own, where a step is cheaper. Also return
+        the costs on the finest one, control effort apart.
         """
         horizon, optimiser = self.control.horizon, self.control.optimiser
         gamma = self.control.weights.control
         u: Array = np.zeros((horizon.intervals, len(coarse.state.d), 2))
-        if self._last is not None and self._last.u.shape == u.shape:
-            u = self._last.shifted(t).u
+        last = self._playing(t)
+        if last is not None and last.plan.u.shape == u.shape:
+            u = last.plan.shifted(t).u
         solutions: list[Solution] = []
         costs: list[Cost] = []
-        limit = optimiser.max_iterations
+        limit = budget.max_iterations
         for substeps in sorted({1, coarse.substeps}):
             model = replace(coarse, dt=coarse.interval / substeps, substeps=substeps)
             steps = horizon.intervals * substeps
             times = model.dt * np.arange(steps + 1, dtype=np.float64)
-            route = reference(self.control.reference, coarse.state, self.goal, times)
+            route = reference(self.control.reference, coarse.state, self.goal, times) - defect
             costs = [*weighted_costs(self.control.weights, route), *self.costs]
             objective = Objective([*costs, ControlEffort(gamma)])
             problem = Problem(
                 partial(model.value_and_gradient, objective), self._admissible, model.inner
             )
-            budget = Budget(limit, optimiser.tolerance, out_of_time)
-            solutions.append(OPTIMISERS[optimiser.method](problem, u, budget))
+            minimise = OPTIMISERS[optimiser.method]
+            solutions.append(minimise(problem, u, replace(budget, max_iterations=limit)))
             u = solutions[-1].u
             limit = -(-limit // 3)
         solution = replace(
@@ -220,3 +285,8 @@ class RecedingHorizon:
             self._noise = Noise(fine, estimator, self.seed)
             self._noise_sheep = fine.sheep
         return ExpectedCentre(fine, estimator, self._noise, mapping.standard_error, mapping.paths)
+
+
+def _in_order(planned: list[_Planned]) -> list[_Planned]:
+    """Return them by their starts, of two with the same start the newer last."""
+    return sorted(planned, key=lambda each: each.plan.t0)

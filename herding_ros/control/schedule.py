@@ -10,6 +10,9 @@ import numpy as np
 
 from .window import Window
 
+_SLACK = 1e-6
+"""Starts are the same that differ by less [s]: they are sums of control periods."""
+
 
 @dataclass(frozen=True)
 class Request:
@@ -21,21 +24,21 @@ class Request:
 
 @dataclass(frozen=True)
 class ScheduledPlan:
-    """A planned window, what it was planned for, and its accepted part [s]."""
+    """A plan, what it was made for, and when.
+
+    observed: time of the observation that it was made from [s]; accepted_until: time at which the
+    next window ought to take over [s].
+    """
 
     window: Window
     request: Request
-    accepted: float
+    observed: float
+    accepted_until: float
 
     @property
     def start(self) -> float:
         """Time from which it is played [s]."""
         return self.window.plan.t0
-
-    @property
-    def accepted_until(self) -> float:
-        """Time at which the next plan ought to take over [s]."""
-        return self.start + self.accepted
 
     @property
     def end(self) -> float:
@@ -62,8 +65,8 @@ class Schedule:
 
     def add(self, plan: ScheduledPlan) -> None:
         """Play a plan from its start on; of two with the same start, the one added last."""
-        self._plans.append(plan)
-        self._plans.sort(key=lambda each: each.start)
+        k = sum(each.start <= plan.start + _SLACK for each in self._plans)
+        self._plans.insert(k, plan)
 
     @property
     def last(self) -> ScheduledPlan | None:
@@ -72,7 +75,7 @@ class Schedule:
 
     def playing(self, t: float) -> ScheduledPlan | None:
         """Return the plan that is played at t [s]; None before the first."""
-        begun = [plan for plan in self._plans if plan.start <= t + 1e-9]
+        begun = [plan for plan in self._plans if plan.start <= t + _SLACK]
         return begun[-1] if begun else None
 
     def forget_before(self, t: float) -> None:

@@ -24,6 +24,8 @@ _T = TypeVar('_T')
 class SolveReport:
     """How a plan was found; `values` has the names under which all of it is published."""
 
+    kind: str
+    """'window', with its space mapping, or 'feedback', an improvement between two of them."""
     status: Status
     """Of the coarse solve; a solve that did not converge is a status, not an error."""
     objective: float
@@ -53,6 +55,7 @@ class SolveReport:
     @classmethod
     def of(
         cls,
+        kind: str,
         solution: Solution,
         mapping: MappingResult,
         expected: Sequence[Expectation],
@@ -61,6 +64,7 @@ class SolveReport:
     ) -> SolveReport:
         """Return the report of a coarse solution, its correction, and the fine evaluations."""
         return cls(
+            kind=kind,
             status=solution.status,
             objective=solution.value,
             gradient_norm=solution.gradient_norm,

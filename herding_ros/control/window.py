@@ -15,12 +15,17 @@ from .solve_report import SolveReport
 class Window:
     """A plan with its prediction.
 
-    centre: (K+1, 2) expected centre of the sheep [m], dogs: (K+1, M, 2) [m], on the time
-    grid of the prediction, dt [s].
+    centre: (K+1, 2) expected centre of the sheep [m], spread: (K+1,) without noise [m],
+    dogs: (K+1, M, 2) [m], on the time grid of the prediction, dt [s].
     """
 
     plan: Plan
     report: SolveReport
     dt: float
     centre: Array
+    spread: Array
     dogs: Array
+
+    def index(self, t: float) -> int:
+        """Return the number of the instant of the prediction that is nearest to t [s]."""
+        return min(max(round((t - self.plan.t0) / self.dt), 0), len(self.centre) - 1)

@@ -3,15 +3,38 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from .parameters import Parameters, quantity, TINY
 from .state import Array
 
-ARRIVAL_DISTANCE = 0.05
-"""How near the centre has to be to the destination [m]; the paper's stopping criterion."""
+MOST_STRAYS = 1000
+"""No more sheep may be left behind."""
 
-TOGETHER = 1.5
-"""A flock is together while its spread is at most this multiple of the initial spread."""
+
+@dataclass(frozen=True)
+class Arrival(Parameters):
+    """When a flock has arrived. The radius is the paper's stopping criterion.
+
+    A flock that the dogs scatter may have its centre at the destination by accident, so it has
+    arrived only if it is together.
+    """
+
+    radius: float = quantity(
+        0.05, "the flock's centre is nearer than this to the destination", 'm', low=TINY
+    )
+    spread: float = quantity(
+        1.5, "the flock's spread is at most this multiple of that at the start", low=TINY
+    )
+    strays: int = quantity(
+        0,
+        'so many sheep may be left behind: the flock is what is left without those that are '
+        'farthest away',
+        low=0,
+        high=MOST_STRAYS,
+    )
 
 
 def centre(x: Array) -> Array:
@@ -29,10 +52,26 @@ def distance(x: Array, goal: Array) -> Array:
     return np.linalg.norm(centre(x) - goal, axis=-1)
 
 
-def arrived(x: Array, goal: Array, initial_spread: float) -> bool:
-    """Whether sheep at x (N, 2) [m] are at the goal (2,) [m], and together.
+def without_strays(x: Array, strays: int) -> Array:
+    """Return sheep at x (..., N, 2) [m] but for some strays, at least one: (..., N - strays, 2).
 
-    A flock that the dogs scatter may have its centre at the goal by accident,
-    so it has arrived only if it is together.
+    One after another, the sheep farthest from the centre of those that are left. So strays that
+    are fewer than half, and far away, are found wherever they are: though they move the centre,
+    one of them is always farther from it than all others.
     """
-    return bool(distance(x, goal) < ARRIVAL_DISTANCE and spread(x) <= TOGETHER * initial_spread)
+    for _ in range(min(strays, x.shape[-2] - 1)):
+        away = np.square(x - centre(x)[..., None, :]).sum(axis=-1)
+        kept = np.arange(x.shape[-2]) != away.argmax(axis=-1)[..., None]
+        x = x[kept].reshape(*x.shape[:-2], -1, 2)
+    return x
+
+
+def arrived(x: Array, goal: Array, initial_spread: float, arrival: Arrival) -> bool:
+    """Whether sheep at x (N, 2) [m], but for strays, are at the goal (2,) [m] and together.
+
+    initial_spread: of the flock without strays, at the start [m].
+    """
+    flock = without_strays(x, arrival.strays)
+    return bool(
+        distance(flock, goal) < arrival.radius and spread(flock) <= arrival.spread * initial_spread
+    )

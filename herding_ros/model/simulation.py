@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .crowd import Crowd
-from .flock import arrived, spread
+from .flock import Arrival, arrived, spread, without_strays
 from .motion import Holonomic, MotionModel
 from .parameters import Parameters, quantity, TINY
 from .scenario import DOG_RADIUS, initial_herd, MOST_DOGS, MOST_SHEEP
@@ -32,6 +32,16 @@ class World(Parameters):
     )
     max_speed: float = quantity(5e-2, 'a dog runs no faster than this', 'm/s', low=TINY)
     motion: MotionModel = Holonomic()
+    arrival: Arrival = Arrival()
+
+    def __post_init__(self) -> None:
+        """Check what goes together."""
+        super().__post_init__()
+        if self.arrival.strays >= self.sheep:
+            raise ValueError(
+                f'World.arrival.strays must be less than World.sheep, {self.sheep}, '
+                f'got {self.arrival.strays}'
+            )
 
     @property
     def control_period(self) -> float:
@@ -75,7 +85,7 @@ class Simulation:
         self.state = replace(herd, d=dogs)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
         self.periods = 0
-        self.initial_spread = float(spread(single(self.state.x)))
+        self.initial_spread = float(spread(single(self.flock)))
         self._process, self._sensor = flock.spawn(2)
 
     @property
@@ -89,9 +99,15 @@ class Simulation:
         return self.periods * round(self.world.control_period * 1e9)
 
     @property
+    def flock(self) -> Array:
+        """Positions (n, 2) [m] of the sheep that have to arrive: all but strays."""
+        return without_strays(self.state.x, self.world.arrival.strays)
+
+    @property
     def arrived(self) -> bool:
         """Whether the flock, rounded as it is published, is at the goal and together."""
-        return arrived(single(self.state.x), self.goal, self.initial_spread)
+        x, when = single(self.state.x), self.world.arrival
+        return arrived(x, self.goal, self.initial_spread, when)
 
     def advance(self, u: Array) -> None:
         """Move on by one control period under the dogs' velocities u (M, 2) [m/s].

@@ -13,6 +13,7 @@ import sys
 import time
 
 from herding_ros.control.lead import FASTEST, lead_at, SLOWEST
+from herding_ros.model.flock import MOST_STRAYS
 from herding_ros.model.parameters import LARGE, TINY
 from herding_ros.model.scenario import GOAL, MOST_DOGS, MOST_SHEEP
 from herding_ros.programs import INTERRUPTED
@@ -82,6 +83,10 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add('--seed', type=_number(int, 0, 2**63 - 1), default=0, help='same seed, same run (0)')
     add(
+        '--strays', type=_number(int, 0, MOST_STRAYS), default=0, metavar='K',
+        help='number of sheep that may be left behind (0)',
+    )  # fmt: skip
+    add(
         '--time-limit', type=_number(float, TINY, LARGE), default=400.0, metavar='S',
         help='simulated seconds to try (400)',
     )  # fmt: skip
@@ -127,7 +132,7 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     # In lockstep the stamps are the time, and the clock would only wake the controller.
     controller = {**shared, 'use_sim_time': not lockstep}
     sim = {**shared, 'sheep': options.sheep, 'stop_on_arrival': True,
-           'time_limit': options.time_limit}  # fmt: skip
+           'arrival.strays': options.strays, 'time_limit': options.time_limit}  # fmt: skip
     if not lockstep:
         sim['real_time_factor'] = options.real_time
         controller['lead'] = lead_at(options.real_time)
@@ -192,7 +197,12 @@ def _run(options: argparse.Namespace, logs: Path, console: Console) -> int:
 
 def main(args: list[str] | None = None) -> int:
     """Run the program; see --help for the exit codes."""
-    options = _parser().parse_args(args)
+    parser = _parser()
+    options = parser.parse_args(args)
+    if options.strays >= options.sheep:
+        parser.error(
+            f'argument --strays: must be less than --sheep, {options.sheep}, got {options.strays}'
+        )
     console = Console(highlight=False)
     try:
         options.out = options.out.absolute() if options.out else _new_folder()

@@ -210,8 +210,8 @@ class Sim(HerdingNode):
         mismatched = self._mismatches.report_values()
         values: dict[str, object] = {
             'time_s': simulation.nanoseconds * 1e-9,
-            'distance_m': float(distance(simulation.state.x, goal)),
-            'spread_m': float(spread(simulation.state.x)),
+            'distance_m': float(distance(simulation.flock, goal)),
+            'spread_m': float(spread(simulation.flock)),
             'arrived': simulation.arrived,
             'finished': self._run.finished,
             'outcome': self._run.outcome,

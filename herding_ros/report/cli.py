@@ -41,7 +41,7 @@ def write_report(
     numbers.write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
     console.print(_table(run))
     console.print(_in_words(summary), highlight=False)
-    for note in run.notes:
+    for note in summary['notes']:
         console.print(f'note: {note}', highlight=False, markup=False, soft_wrap=True)
     console.print(f'{picture}\n{numbers}', highlight=False, soft_wrap=True)
     return summary
@@ -60,7 +60,9 @@ def _table(run: RecordedRun) -> Table:
 
 
 def _in_words(summary: dict[str, Any]) -> str:
-    herd = f'{summary["sheep"]} sheep, {summary["dogs"]} dogs'
+    strays = summary['arrival.strays']
+    left = f', {strays} of which may be left behind' if strays else ''
+    herd = f'{summary["sheep"]} sheep{left}, {summary["dogs"]} dogs'
     spread = (
         f'spread at most {summary["max_spread_m"]:.3f} m '
         f'(start {summary["initial_spread_m"]:.3f} m)'

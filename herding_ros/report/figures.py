@@ -6,14 +6,14 @@ from __future__ import annotations
 import os
 
 from herding_ros.bag.recorded_run import Array, RecordedRun
-from herding_ros.model.flock import ARRIVAL_DISTANCE, centre, distance, spread, TOGETHER
+from herding_ros.model.flock import centre, distance, spread
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 import numpy as np
 
 from .style import BLUE, draw_goal, draw_herd, draw_paths, GREY, save
-from .summary import initial_spread, over_time
+from .summary import arrival, initial_spread, over_time
 
 
 def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
@@ -23,10 +23,11 @@ def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
     _draw_map(figure.add_subplot(grid[:, 0]), run)
     solves = figure.add_subplot(grid[2, 1])
     _draw_solves(solves, run)
+    when, widest = arrival(run)[0], arrival(run)[0].spread * initial_spread(run)
     for row, (label, values, limit) in enumerate(
         (
-            ('distance to\ndestination [m]', _distances(run), ARRIVAL_DISTANCE),
-            ('spread of\nthe flock [m]', over_time(spread, run), TOGETHER * initial_spread(run)),
+            ('distance to\ndestination [m]', _distances(run), when.radius),
+            ('spread of\nthe flock [m]', over_time(spread, run), widest),
         )
     ):
         axes = figure.add_subplot(grid[row, 1], sharex=solves)

@@ -6,41 +6,64 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from herding_ros.bag.notes import Notes
 from herding_ros.bag.recorded_run import Array, RecordedRun
-from herding_ros.model.flock import arrived, distance, spread
+from herding_ros.model.flock import Arrival, arrived, distance, spread, without_strays
 import numpy as np
 
 
+def arrival(run: RecordedRun) -> tuple[Arrival, tuple[str, ...]]:
+    """Return when a flock had arrived, by the sim's parameters in the bag, and notes on them.
+
+    What the bag lacks is as usual, and all is if it holds a value that a sim would refuse.
+    """
+    usual, recorded, notes = Arrival(), run.parameters.get(f'{run.namespace}/sim', {}), Notes()
+    given = {name: recorded[name] for name in usual.flat('arrival.') if name in recorded}
+    try:
+        return usual.with_values(given, 'arrival.'), notes.lines()
+    except ValueError as error:
+        notes.add(f'the arrival is judged by the default parameters: {error}')
+        return usual, notes.lines()
+
+
+def flock(run: RecordedRun, k: int) -> Array:
+    """Return the flock (n, 2) [m] in state k: the sheep that were seen, but for strays."""
+    return without_strays(run.x[k, run.seen[k]], arrival(run)[0].strays)
+
+
 def over_time(observable: Callable[[Array], Array], run: RecordedRun) -> Array:
-    """Return an observable (T, ...) of the sheep that were seen in each state."""
+    """Return an observable (T, ...) of the flock in each state."""
+    strays = arrival(run)[0].strays
     if run.seen.all():
-        return observable(run.x)
-    return np.array([observable(x[seen]) for x, seen in zip(run.x, run.seen, strict=True)])
+        return observable(without_strays(run.x, strays))
+    seen = zip(run.x, run.seen, strict=True)
+    return np.array([observable(without_strays(x[here], strays)) for x, here in seen])
 
 
 def initial_spread(run: RecordedRun) -> float:
     """Return the spread of the flock [m] when first all, or most, of it was seen."""
-    k = int(np.argmax(run.seen.sum(axis=1)))
-    return float(spread(run.x[k, run.seen[k]]))
+    return float(spread(flock(run, int(np.argmax(run.seen.sum(axis=1))))))
 
 
 def summarise(run: RecordedRun) -> dict[str, Any]:
     """Return the run's result as plain values for JSON; unknown values are None.
 
-    time_s is when the flock arrived, at the goal and together, else the length of the run. It is
-    judged by the sheep that are seen, of which `sheep` is the largest number. replans is how many
-    were made, whether or not they are in the bag. notes says what the bag lacks.
+    time_s is when the flock arrived, by `arrival`, else the length of the run. It is judged by
+    the sheep that are seen, of which `sheep` is the largest number, and so are distance and
+    spread. replans is how many were made, whether or not they are in the bag. notes says what the
+    bag lacks.
     """
     goal = run.goal
     at_first = initial_spread(run)
-    flocks = [x[seen] for x, seen in zip(run.x, run.seen, strict=True)]
-    home = [k for k, x in enumerate(flocks) if goal is not None and arrived(x, goal, at_first)]
+    when, notes = arrival(run)
+    seen = [x[seen] for x, seen in zip(run.x, run.seen, strict=True)]
+    home = [k for k, x in enumerate(seen) if goal is not None and arrived(x, goal, at_first, when)]
     solve_ms = [replan.solve_ms for replan in run.replans if np.isfinite(replan.solve_ms)]
     seed = run.parameters.get(f'{run.namespace}/sim', {}).get('seed')
     return {
         'arrived': bool(home) if goal is not None else None,
         'time_s': round(float(run.times[home[0] if home else -1]), 9),
-        'final_distance_m': float(distance(flocks[-1], goal)) if goal is not None else None,
+        'final_distance_m': float(distance(flock(run, -1), goal)) if goal is not None else None,
         'max_spread_m': float(over_time(spread, run).max()),
         'initial_spread_m': at_first,
         'replans': run.replans_made,
@@ -52,10 +75,11 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
         'wall_s': run.wall_s,
         'real_time_factor': float(run.times[-1]) / run.wall_s if run.wall_s > 0.0 else None,
         'seed': seed if isinstance(seed, int) else None,
-        'sheep': max(map(len, flocks)),
+        'sheep': max(map(len, seen)),
         'dogs': run.d.shape[1],
         'goal': goal.tolist() if goal is not None else None,
+        **when.flat('arrival.'),
         'namespace': run.namespace or '/',
         'version': run.version,
-        'notes': list(run.notes),
+        'notes': [*run.notes, *notes],
     }

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from herding_ros.control.parameters import Control, PAPER
-from herding_ros.model.flock import ARRIVAL_DISTANCE
+from herding_ros.model.flock import Arrival
 from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import table
 from herding_ros.report.statistics import Fraction, Mean, Median, significant
@@ -138,7 +138,7 @@ def _failures(runs: Results, agents: str) -> list[dict[str, str]]:
             continue
         if run['arrived']:
             why = f'arrived after {run["time"]:g} s, but spread up to {run["max_spread"]:.2f} m'
-        elif run['closest'] < ARRIVAL_DISTANCE:
+        elif run['closest'] < Arrival.radius:
             why = 'the centre was there, but not with the flock together'
         else:
             why = 'the centre never got there'

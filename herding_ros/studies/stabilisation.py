@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from herding_ros.model.flock import ARRIVAL_DISTANCE, TOGETHER
+from herding_ros.model.flock import Arrival
 from herding_ros.model.scenario import GOAL
 from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Fraction, Mean, Median
@@ -143,7 +143,7 @@ def _draw_snapshots(runs: Results, figures: Path) -> None:
 def _draw_courses(runs: dict[str, Results], figures: Path) -> None:
     figure, axes = new(2, 2, width=4.5, height=2.4)
     style: dict[str, Any] = {'color': BLUE, 'linewidth': 0.6, 'alpha': 0.5}
-    limits = (ARRIVAL_DISTANCE, TOGETHER)
+    limits = (Arrival.radius, Arrival.spread)
     for row, found in zip(axes, runs.values(), strict=True):
         for run in found:
             t, distance, spread = (

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 import math
 
 from herding_ros.control.closed_loop import as_policy
@@ -13,9 +14,11 @@ from herding_ros.control.pilot import Decision, Observed
 from herding_ros.control.plan import Plan
 from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.control.schedule import ScheduledPlan
 from herding_ros.control.solution import never, NoTimeFor, Status
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.control.window import Window
+from herding_ros.model import flock
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.state import Array, HerdState
 from hypothesis import given, settings
@@ -24,54 +27,81 @@ import numpy as np
 import pytest
 
 PERIOD, LENGTH, ACCEPTED, LEAD = 0.1, 4.0, 2.0, 1.0
-CONTROL = Control(horizon=Horizon(length=LENGTH, accepted=ACCEPTED, control_period=PERIOD))
+FEEDBACK = 0.5
+HORIZON = Horizon(LENGTH, ACCEPTED, feedback=ACCEPTED, control_period=PERIOD)
+CONTROL = Control(horizon=HORIZON)
+IMPROVING = Control(horizon=replace(HORIZON, feedback=FEEDBACK))
 GOAL = (1.0, 0.0)
 NEW_GOAL = (0.0, 1.0)
 REPORT = SolveReport(
-    Status.CONVERGED, 0.0, 0.0, 0, 0, 0, (), 0.0, 0, Status.CONVERGED, 0, (), 0.0, 0.0, {}
+    'window',
+    Status.CONVERGED,
+    0.0,
+    0.0,
+    0,
+    0,
+    0,
+    (),
+    0.0,
+    0,
+    Status.CONVERGED,
+    0,
+    (),
+    0.0,
+    0.0,
+    {},
 )
 
 
 class FakePlanner:
-    """Plans that all dogs run along the goal, (1e-3 goal) m/s: so a command shows its goal."""
+    """Plans that all dogs run along the goal, (1e-3 goal) m/s: so a command shows its goal.
+
+    An improved plan has them run half as fast. All expect the sheep of `seen` to stay there.
+    """
 
     def __init__(self, control: Control = CONTROL) -> None:
         self.crowd, self.control, self.goal = Crowd(), control, np.array(GOAL)
         self.restarts = 0
         self.solved: list[tuple[float, HerdState]] = []
+        self.improved: list[tuple[float, HerdState]] = []
         self.error: Exception | None = None
         self.speed = 1e-3
-        self.last: Plan | None = None
-        self.asked = 1
-
-    def due(self, t: float) -> bool:
-        return self.last is None or not -1e-6 <= t - self.last.t0 < ACCEPTED - 1e-6
 
     def move_goal(self, goal: Array) -> None:
         self.goal = goal
 
     def restart(self) -> None:
         self.restarts += 1
-        self.last = None
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         self.crowd, self.control = crowd, control
 
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
         self.solved.append((t, state))
+        return self._window(self.speed, state, t, no_time_for)
+
+    def improve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
+        self.improved.append((t, state))
+        return self._window(0.5 * self.speed, state, t, no_time_for)
+
+    def _window(self, speed: float, state: HerdState, t: float, no_time_for: NoTimeFor) -> Window:
         self.stopped = no_time_for('coarse')
         if self.error is not None:
             raise self.error
         intervals = self.control.horizon.intervals
-        u = np.broadcast_to(self.speed * self.goal, (intervals, len(state.d), 2))
-        self.last = Plan(t, PERIOD, u)
-        centre, dogs = np.zeros((intervals + 1, 2)), np.zeros((intervals + 1, *state.d.shape))
-        return Window(self.last, REPORT, PERIOD, centre, dogs)
+        u = np.broadcast_to(speed * self.goal, (intervals, len(state.d), 2))
+        x = seen(0.0).state.x
+        centre = np.broadcast_to(flock.centre(x), (intervals + 1, 2))
+        spread = np.full(intervals + 1, flock.spread(x))
+        dogs = np.zeros((intervals + 1, *state.d.shape))
+        return Window(Plan(t, PERIOD, u), REPORT, PERIOD, centre, spread, dogs)
 
 
-def seen(t: float, dogs: tuple[int, ...] = (0, 1, 2), sheep: int = 2) -> Observed:
+def seen(
+    t: float, dogs: tuple[int, ...] = (0, 1, 2), sheep: int = 2, gust: float = 0.0
+) -> Observed:
     d = np.array([[-0.5, 0.1 * m] for m in dogs])
-    x = np.array([[0.1 * i, 0.0] for i in range(sheep)])
+    x = np.array([[0.1 * i + gust, 0.0] for i in range(sheep)])
     return Observed(round(t * 1e9), np.arange(sheep), HerdState(x, np.zeros_like(x), d), dogs)
 
 
@@ -83,17 +113,25 @@ def goal_of(command: Array) -> list[tuple[float, float]]:
 class Field:
     """A real-time pilot at work: time passes in control periods, and a solve takes `solving`."""
 
-    def __init__(self, solving: float = 0.3, lead: float = LEAD, timeout: float = 0.5) -> None:
+    def __init__(
+        self,
+        solving: float = 0.3,
+        lead: float = LEAD,
+        timeout: float = 0.5,
+        control: Control = CONTROL,
+    ) -> None:
         self.t = 100.0
         self.elapsed = 0.0  # which goes on when t is set back
         self.solving = solving
-        self.planner = FakePlanner()
+        self.planner = FakePlanner(control)
         self.pending: list[tuple[float, Callable[[], None]]] = []
         self.pilot = RealTimePilot(
             self.planner, 3, Timing(lead, timeout), lambda: self.t, self._later
         )
         self.dogs: tuple[int, ...] = (0, 1, 2)
         self.visible = True
+        self.gust = 0.0
+        self.ends_when_dropped = False
         self.decisions: list[tuple[float, Decision]] = []
 
     def _later(self, function: Callable[[], None]) -> None:
@@ -104,10 +142,12 @@ class Field:
         self.t += step
         self.elapsed += PERIOD
         for end, function in list(self.pending):
-            if end <= self.elapsed + 1e-9:
+            dropped = self.ends_when_dropped and function.__self__.dropped  # type: ignore[attr-defined]
+            if end <= self.elapsed + 1e-9 or dropped:
                 self.pending.remove((end, function))
                 function()
-        observed = seen(self.t, self.dogs) if self.visible and self.dogs else None
+        visible = self.visible and self.dogs
+        observed = seen(self.t, self.dogs, gust=self.gust) if visible else None
         decision = self.pilot.decide(self.t, observed)
         self.decisions.append((self.t, decision))
         return decision
@@ -126,6 +166,11 @@ class Field:
         """Run until the first plan is played."""
         self.run_until(lambda decision: decision.command is not None)
         return self
+
+    @property
+    def plans(self) -> list[ScheduledPlan]:
+        """Those that were announced."""
+        return [each.announcement.plan for _, each in self.decisions if each.announcement]
 
     @property
     def starts(self) -> list[float]:
@@ -148,8 +193,8 @@ def command(decision: Decision) -> Array:
 # In lockstep.
 
 
-def lockstep() -> tuple[LockstepPilot, FakePlanner]:
-    planner = FakePlanner()
+def lockstep(control: Control = CONTROL) -> tuple[LockstepPilot, FakePlanner]:
+    planner = FakePlanner(control)
     return LockstepPilot(planner, 3), planner
 
 
@@ -165,15 +210,89 @@ def test_lockstep_plans_when_due_and_replies_each_time() -> None:
 
 
 def test_lockstep_reply_is_that_of_the_real_planner() -> None:
-    control = Control(horizon=Horizon(length=1.0, accepted=0.5))
+    control = Control(horizon=Horizon(length=1.0, accepted=0.5, feedback=0.2))
     herd = seen(0.0, sheep=4).state
     pilot = LockstepPilot(RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7), 3)
     by_hand = RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7)
     for k in range(8):
         if k % 5 == 0:
             plan = by_hand.solve(herd, 0.1 * k).plan
+        elif k % 5 in (2, 4):
+            plan = by_hand.improve(herd, 0.1 * k).plan
         reply = pilot.decide(Observed.complete(0.1 * k, herd))
         np.testing.assert_array_equal(reply.command, plan.at(0.1 * k))
+
+
+@pytest.mark.parametrize('start', [0, 3_000_000_000, 1_700_000_000_123_456_789])
+def test_lockstep_improves_the_plan_between_two_windows(start: int) -> None:
+    """At times since 1970 as well, which are exact to 2.4e-7 s in double precision."""
+    pilot, planner = lockstep(IMPROVING)
+    speeds = []
+    for k in range(45):
+        observed = replace(seen(0.0), stamp=start + 100_000_000 * k)
+        decision = pilot.decide(observed)
+        speeds.append(command(decision)[0, 0])
+        assert (decision.announcement is not None) == (k % 5 == 0)
+    windows, improved = ([round((t - start * 1e-9) / 0.1) for t, _ in each] for each in
+                         (planner.solved, planner.improved))  # fmt: skip
+    assert windows == [0, 20, 40]
+    assert improved == [5, 10, 15, 25, 30, 35]
+    np.testing.assert_allclose(speeds, [1e-3 * (1.0 if k % 20 < 5 else 0.5) for k in range(45)])
+    assert pilot.plans_made == 9
+
+
+@pytest.mark.parametrize('feedback', [ACCEPTED, 10 * ACCEPTED])
+def test_lockstep_without_feedback_plans_windows_only(feedback: float) -> None:
+    """Whatever the flock does meanwhile."""
+    pilot, planner = lockstep(Control(horizon=replace(HORIZON, feedback=feedback)))
+    for k in range(45):
+        pilot.decide(seen(0.1 * k, gust=0.3 * (k > 3)))
+    assert [t for t, _ in planner.solved] == pytest.approx([0.0, 2.0, 4.0])
+    assert not planner.improved
+
+
+def test_lockstep_improves_at_once_when_surprised_and_once_for_each_surprise() -> None:
+    pilot, planner = lockstep(IMPROVING)
+    for k in range(20):
+        pilot.decide(seen(0.1 * k, gust=0.3 * (k >= 2)))
+    # The plans of this planner go on to expect the sheep where they were.
+    assert [t for t, _ in planner.improved] == pytest.approx([0.1 * k for k in range(2, 20)])
+    assert len(planner.solved) == 1
+    pilot, planner = lockstep(IMPROVING)
+    for k in range(20):
+        pilot.decide(seen(0.1 * k, gust=0.3 * (k == 2)))
+    assert [t for t, _ in planner.improved] == pytest.approx([0.2, 0.7, 1.2, 1.7])
+
+
+def test_lockstep_plans_a_window_anew_for_another_goal_and_without_a_dog() -> None:
+    """Neither is a matter of improving the plan."""
+    pilot, planner = lockstep(IMPROVING)
+    for k in range(4):
+        pilot.decide(seen(0.1 * k))
+    pilot.move_goal(np.array(NEW_GOAL))
+    for k in range(4, 8):
+        pilot.decide(seen(0.1 * k))
+    for k in range(8, 14):
+        pilot.decide(seen(0.1 * k, dogs=(0, 2)))
+    assert [t for t, _ in planner.solved] == pytest.approx([0.0, 0.4, 0.8])
+    assert [t for t, _ in planner.improved] == pytest.approx([1.3])
+
+
+def test_lockstep_plays_the_last_plan_on_when_an_improvement_fails_and_says_so_once() -> None:
+    pilot, planner = lockstep(IMPROVING)
+    pilot.decide(seen(0.0))
+    planner.error = ArithmeticError('the solver is broken')
+    decisions = [pilot.decide(seen(0.1 * k)) for k in range(1, 15)]
+    assert all(goal_of(command(decision)) == [GOAL] * 3 for decision in decisions)
+    assert pilot.plans_failed == 10  # at 0.5 s and each time after
+    events = [event for decision in decisions for event in decision.events]
+    assert [event.level for event in events] == ['error']
+    planner.error = None
+    assert command(pilot.decide(seen(1.5)))[0, 0] == 0.5e-3
+    # The window comes when it should.
+    for k in range(16, 21):
+        pilot.decide(seen(0.1 * k))
+    assert planner.solved[-1][0] == pytest.approx(2.0)
 
 
 def test_lockstep_plans_for_a_moved_goal_at_once_and_for_the_same_goal_not_again() -> None:
@@ -564,24 +683,165 @@ def test_sheep_may_come_and_go() -> None:
         assert len(field.planner.solved[-1][1].x) == sheep
 
 
+def improving(solving: float = 0.05, lead: float = LEAD) -> Field:
+    field = Field(solving, lead, control=IMPROVING)
+    field.ends_when_dropped = True
+    return field.herding()
+
+
+@pytest.mark.parametrize('solving', [0.0, 0.05, 0.3, 0.7])
+def test_plans_are_improved_between_two_windows_which_join_as_without(solving: float) -> None:
+    field = improving(solving)
+    field.run(20.0)
+    assert np.diff(field.starts) == pytest.approx(ACCEPTED)
+    assert field.pilot.deadlines_missed == field.pilot.plans_failed == 0
+    assert all(command(decision).any() for _, decision in field.decisions[-200:])
+    improved = [plan for plan in field.plans if plan.observed > plan.start - 0.99 * LEAD]
+    assert len(improved) >= 9  # at least one in each window
+    assert len(field.plans) == len(field.planner.solved) + len(improved)
+    windows = {round(start, 6) for start in field.starts}
+    for plan in improved:
+        assert round(plan.accepted_until - ACCEPTED, 6) in windows
+    # The first of them did not know yet how long it would take.
+    leads = [plan.start - plan.observed for plan in improved[1:]]
+    assert leads == pytest.approx([max(PERIOD, math.ceil(solving / PERIOD) * PERIOD)] * len(leads))
+
+
+def test_observation_that_the_plan_in_play_was_made_from_is_hardly_older_than_feedback() -> None:
+    """Also when a window starts, which was planned from one a lead ago."""
+    field = improving()
+    field.run(3.0)
+    ages = []
+    for _ in range(200):
+        field.tick()
+        playing = field.pilot._schedule.playing(field.t)
+        assert playing is not None
+        ages.append(field.t - playing.observed)
+    # Two periods for the feedback, two in which it is the turn of a window.
+    assert max(ages) <= FEEDBACK + 4 * PERIOD + 1e-6
+    assert command(field.tick())[0, 0] == pytest.approx(0.5e-3)
+
+
+def test_surprise_is_answered_within_two_control_periods() -> None:
+    field = improving()
+    for wait in range(25):
+        field.gust = 0.0
+        field.run(2.0 + PERIOD * wait)
+        begun = len(field.plans)
+        surprised = field.t + PERIOD
+        field.gust = 0.3
+        field.run(0.3 + field.solving)
+        answers = [plan for plan in field.plans[begun:] if plan.observed > surprised - 1e-6]
+        assert answers
+        # The second period is for a window that is under way when it happens.
+        assert min(plan.start for plan in answers) <= surprised + 2 * PERIOD + 1e-6
+    assert np.diff(field.starts) == pytest.approx(ACCEPTED)
+
+
+def test_late_feedback_is_played_from_where_it_should_be_and_misses_no_deadline() -> None:
+    field = improving()
+    field.run_until(lambda _: field.pilot._task is None and field.planner.improved)
+    field.run_until(lambda _: field.pending)
+    field.pending[0] = (field.pending[0][0] + 0.3, field.pending[0][1])
+    late = field.run_until(lambda decision: decision.announcement).announcement
+    assert late is not None
+    assert late.margin == pytest.approx(-0.3, abs=0.11)
+    playing = field.pilot._schedule.playing(field.t)
+    assert playing is late.plan
+    assert field.pilot.deadlines_missed == 0
+    # The next ones start later, until it is forgotten.
+    leads = []
+    for _ in range(40):
+        field.run_until(lambda decision: decision.announcement)
+        leads.append(field.plans[-1].start - field.plans[-1].observed)
+    assert leads[0] >= 0.3
+    assert leads[-1] == pytest.approx(PERIOD) or leads[-2] == pytest.approx(PERIOD)
+
+
+def test_feedback_that_is_late_for_the_next_window_is_dropped() -> None:
+    """It was to improve the plan before, up to the start of that window."""
+    field = improving()
+    field.run(ACCEPTED)
+    schedule = field.pilot._schedule
+
+    def improves_before_a_window() -> bool:
+        task, last = field.pilot._task, schedule.last
+        assert last is not None
+        return task is not None and task.is_feedback and task.start < last.start - 1e-6
+
+    field.run_until(lambda _: improves_before_a_window())
+    last = schedule.last
+    assert last is not None
+    field.ends_when_dropped = False
+    field.pending[0] = (field.elapsed + (last.start - field.t) + 0.25, field.pending[0][1])
+    plans = len(field.plans)
+    while field.t < last.start + 0.2:
+        assert command(field.tick()).any()
+        assert len(field.plans) == plans
+    field.tick()
+    assert schedule.playing(field.t) is last
+    assert len(field.plans) == plans
+    assert field.pilot.deadlines_missed == 0
+
+
+def test_moved_goal_is_answered_by_a_feedback_before_its_window_starts() -> None:
+    field = improving(lead=2.0)
+    field.run(1.0)
+    moved = field.t
+    field.pilot.move_goal(np.array(NEW_GOAL))
+    answered = field.run_until(lambda decision: command(decision)[0, 1] > 0.0)
+    assert field.t <= moved + 5 * PERIOD + 1e-6
+    assert command(answered)[0, 1] == pytest.approx(0.5e-3)
+
+
+def test_failing_feedback_leaves_the_plan_and_is_said_once() -> None:
+    field = improving()
+    field.run(0.2)
+
+    def fail(*_: object) -> Window:
+        raise ArithmeticError('the solver is broken')
+
+    field.planner.improve = fail  # type: ignore[method-assign]
+    field.run(10.0)
+    assert all(command(decision).any() for _, decision in field.decisions[-100:])
+    assert np.diff(field.starts) == pytest.approx(ACCEPTED)
+    assert field.pilot.plans_failed > 3
+    assert len(field.said('the solver is broken')) == 1
+    assert field.pilot.deadlines_missed == 0
+
+
+def test_feedback_for_the_time_before_a_reset_is_dropped() -> None:
+    field = improving(solving=0.25)
+    field.run_until(lambda _: field.pilot._task is not None and field.pilot._task.is_feedback)
+    field.ends_when_dropped = False
+    field.tick(-50.0)
+    announced = field.run_until(lambda decision: decision.announcement).announcement
+    assert announced is not None
+    assert field.planner.restarts == 2
+    assert announced.plan.start == pytest.approx(field.starts[-1])
+    assert announced.plan.observed < field.t < announced.plan.start
+
+
 EVENTS = st.one_of(
     st.tuples(st.just('goal'), st.integers(0, 3)),
     st.tuples(st.just('dogs'), st.sampled_from([(0, 1, 2), (0, 1), (2,), (0, 2)])),
     st.tuples(st.just('jitter'), st.floats(0.0, 0.099)),
     st.tuples(st.just('solving'), st.floats(0.0, 0.9)),
     st.tuples(st.just('quiet'), st.integers(1, 40)),
+    st.tuples(st.just('gust'), st.floats(0.0, 0.3)),
     st.tuples(st.just('adjust'), st.floats(0.01, 0.05)),
 )
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.lists(EVENTS, max_size=40), st.integers(1, 4))
+@given(st.lists(EVENTS, max_size=40), st.integers(1, 4), st.sampled_from([CONTROL, IMPROVING]))
 def test_whatever_happens_there_is_a_plan_in_play_of_bounded_age(
-    events: list[tuple[str, object]], every: int
+    events: list[tuple[str, object]], every: int, control: Control
 ) -> None:
     """As long as solves keep their deadlines and time and sheep are there."""
     lead = 1.0
-    field = Field(solving=0.2, lead=lead).herding()
+    field = Field(solving=0.2, lead=lead, control=control).herding()
+    field.ends_when_dropped = True
     bound = max(ACCEPTED, 2 * lead) + 3 * PERIOD
     for kind, value in events:
         if kind == 'goal':
@@ -589,10 +849,12 @@ def test_whatever_happens_there_is_a_plan_in_play_of_bounded_age(
         elif kind == 'dogs':
             field.dogs = value  # type: ignore[assignment]
         elif kind == 'solving':
-            field.solving = value  # type: ignore[assignment]
+            # A feedback that has to make room for a window may take a period of its lead.
+            field.solving = min(value, 0.9 if control is CONTROL else 0.7)  # type: ignore[call-overload]
+        elif kind == 'gust':
+            field.gust = value  # type: ignore[assignment]
         elif kind == 'adjust':
-            control = Control(horizon=CONTROL.horizon, max_speed=value)  # type: ignore[arg-type]
-            field.pilot.adjust(Crowd(), control)
+            field.pilot.adjust(Crowd(), replace(control, max_speed=value))  # type: ignore[arg-type]
         elif kind == 'jitter':
             field.tick(-value)  # type: ignore[operator]
         for _ in range(value if kind == 'quiet' else every):  # type: ignore[call-overload]

@@ -19,6 +19,7 @@ from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.expectation import mean_centre
+from herding_ros.model.flock import spread
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
@@ -68,18 +69,6 @@ def expected_centre(
 
 def l2(difference: Array, dt: float) -> float:
     return float(np.sqrt(dt * np.square(difference).sum()))
-
-
-def test_plan_is_due_when_the_accepted_part_is_played_or_time_is_set_back() -> None:
-    planner = RecedingHorizon(Crowd(), without_mapping(SMALL), GOAL)
-    start = 3_000_000_000
-    assert planner.due(start * 1e-9)
-    planner.solve(herd(4, 2), start * 1e-9)
-    due = [k for k in range(-3, 60) if planner.due((start + k * 100_000_000) * 1e-9)]
-    assert due == [-3, -2, -1, *range(50, 60)]
-    planner.restart()
-    assert planner.plan is None
-    assert planner.due(start * 1e-9)
 
 
 @pytest.mark.parametrize('method', ['output', 'aggressive'])
@@ -157,6 +146,7 @@ def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
     assert 0.0 < report.mapping_error_after < report.mapping_error_before
     played = rollout(Crowd(), state, window.plan.u, window.dt, control.horizon.substeps)
     np.testing.assert_array_equal(window.dogs, played.d)
+    np.testing.assert_allclose(window.spread, spread(played.x), rtol=0, atol=1e-15)
     assert np.linalg.norm(window.plan.u, axis=-1).max() <= control.max_speed * (1.0 + 1e-15)
 
 
@@ -285,6 +275,58 @@ def test_out_of_time_plays_the_last_plan_on() -> None:
     assert hurried.report.fine_calls == 0
     assert np.array_equal(hurried.plan.u, first.shifted(3.0).u)
     assert hurried.plan.t0 == 3.0
+
+
+def test_improvement_is_the_solve_on_the_controls_own_time_grid() -> None:
+    """To the bit where the window has that grid and no mapping, and as many iterations."""
+    horizon = Horizon(length=10.0, accepted=5.0, substeps=1)
+    optimiser = Optimiser(max_iterations=9, feedback_iterations=9)
+    control = Control(horizon=horizon, optimiser=optimiser, mapping=Mapping(max_iterations=0))
+    one, other = (RecedingHorizon(Crowd(), control, GOAL) for _ in range(2))
+    for planner in (one, other):
+        planner.solve(herd(9, 3), 0.0)
+    moved = herd(9, 3, seed=1)
+    expected, found = one.solve(moved, 2.0), other.improve(moved, 2.0)
+    for name in ('centre', 'spread', 'dogs'):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    np.testing.assert_array_equal(found.plan.u, expected.plan.u)
+    assert found.plan.t0 == 2.0
+    assert (expected.report.kind, found.report.kind) == ('window', 'feedback')
+    assert 0 < found.report.optimiser_iterations <= 9
+
+
+def test_improvement_takes_few_iterations_and_leaves_the_cost_lower() -> None:
+    """From another state than was planned for; judged by the model on its own time grid."""
+    planner = RecedingHorizon(Crowd(), without_mapping(SMALL), GOAL)
+    before = planner.solve(herd(9, 3), 0.0).plan
+    state = herd(9, 3, seed=1)
+    found = planner.improve(state, 2.0)
+    times = 0.1 * np.arange(101)
+    route = reference(SMALL.reference, state, GOAL, times)
+    cost = Objective([*weighted_costs(SMALL.weights, route), ControlEffort(SMALL.weights.control)])
+    model = CoarseModel(Crowd(), state, 0.1)
+    old, new = (
+        model.value_and_gradient(cost, u)[0] for u in (before.shifted(2.0).u, found.plan.u)
+    )
+    assert new < 0.98 * old
+    assert found.report.objective == pytest.approx(new, rel=1e-12)
+    assert found.report.optimiser_iterations <= SMALL.optimiser.feedback_iterations
+    assert found.report.fine_calls == 0
+    assert np.linalg.norm(found.plan.u, axis=2).max() <= SMALL.max_speed * (1 + 1e-12)
+
+
+def test_improvement_goes_on_from_the_plan_that_is_played_then() -> None:
+    """Also when the next window has been planned ahead already, twice; and from no plan."""
+    planner = RecedingHorizon(Crowd(), without_mapping(SMALL), GOAL)
+    out_of_time = lambda _: True  # noqa: E731
+    state = herd(9, 3)
+    nothing = planner.improve(state, 0.0, out_of_time)
+    np.testing.assert_array_equal(nothing.plan.u, np.zeros((100, 3, 2)))
+    assert nothing.report.status is Status.OUT_OF_TIME
+    plans = [planner.solve(herd(9, 3, seed), t).plan for seed, t in enumerate((1.0, 6.0, 7.0))]
+    for t, playing in ((4.0, 0), (5.5, 0), (6.5, 1), (7.0, 2), (8.0, 2)):
+        found = planner.improve(state, t, out_of_time).plan
+        np.testing.assert_array_equal(found.u, plans[playing].shifted(t).u)
 
 
 def test_each_moment_of_running_out_of_time_leaves_a_plan() -> None:

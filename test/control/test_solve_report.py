@@ -13,6 +13,7 @@ from herding_ros.model.scenario import initial_herd
 import numpy as np
 
 REPORT = SolveReport(
+    kind='window',
     status=Status.OUT_OF_TIME,
     objective=0.25,
     gradient_norm=1e-3,
@@ -38,7 +39,7 @@ def test_values_are_all_there_is_under_the_names_of_the_fields() -> None:
     assert (values['status'], values['mapping_status']) == ('out of time', 'converged')
     assert (values['paths'], values['mapping_residuals']) == ('12345 16', '0.123 0.0625')
     assert (values['solve_ms'], values['extraction_ms']) == (1000.0, 125.0)
-    for name in names - {'status', 'mapping_status', 'paths', 'mapping_residuals'}:
+    for name in names - {'kind', 'status', 'mapping_status', 'paths', 'mapping_residuals'}:
         assert values[name] == getattr(REPORT, name)
 
 

@@ -3,6 +3,7 @@ import dataclasses
 
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
+from herding_ros.model.flock import Arrival
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
@@ -105,6 +106,24 @@ def test_flock_that_starts_at_the_goal_has_arrived() -> None:
     here = initial_herd(9, 2, GOAL, np.random.default_rng(3)).x.mean(axis=0)
     assert Simulation(Crowd(), WORLD, here).arrived
     assert not Simulation(Crowd(), WORLD, here + np.array([0.06, 0.0])).arrived
+
+
+def test_strays_of_the_world_count_neither_at_the_start_nor_at_the_goal() -> None:
+    usual = Simulation(Crowd(), WORLD, GOAL)
+    left = Simulation(Crowd(), dataclasses.replace(WORLD, arrival=Arrival(strays=1)), GOAL)
+    np.testing.assert_array_equal(left.state.x, usual.state.x)
+    assert left.initial_spread < usual.initial_spread
+    there = GOAL + usual.state.x - usual.state.x[1:].mean(axis=0)
+    there[0] = [-20.0, 3.0]
+    for simulation, expected in ((left, True), (usual, False)):
+        simulation.state = dataclasses.replace(simulation.state, x=there)
+        assert simulation.arrived is expected
+
+
+def test_not_all_sheep_may_be_left_behind() -> None:
+    words = 'World.arrival.strays must be less than World.sheep, 9, got 9'
+    with pytest.raises(ValueError, match=words):
+        dataclasses.replace(WORLD, arrival=Arrival(strays=9))
 
 
 @pytest.mark.parametrize(('preset', 'ahead'), [('cohesive', False), ('guided', True)])

@@ -99,8 +99,11 @@ def test_lockstep_replies_with_the_plan_of_the_core_in_each_dogs_own_frame(
 ) -> None:
     start('controller', lockstep=True, dogs=2, seed=7, goal='[1.0, 0.0]', **QUICK)
     pasture = Pasture(peer, herd)
-    plan = RecedingHorizon(Crowd(), CONTROL, np.array([1.0, 0.0]), seed=7).solve(herd, 0.0).plan
+    planner = RecedingHorizon(Crowd(), CONTROL, np.array([1.0, 0.0]), seed=7)
+    plan = planner.solve(herd, 0.0).plan
     for k in range(20):
+        if k == 10:
+            plan = planner.improve(herd, 1.0).plan
         pasture.heading = 0.0 if k < 10 else math.pi / 2
         pasture.show(k * 100_000_000)
         pasture.wait_for_commands(k + 1)
@@ -110,9 +113,11 @@ def test_lockstep_replies_with_the_plan_of_the_core_in_each_dogs_own_frame(
             expected = u if k < 10 else np.array([u[1], -u[0]])
             assert velocity(heard[k]) == pytest.approx(expected, abs=0.0 if k < 10 else 1e-15)
     peer.spin_until(lambda: pasture.plans)
-    assert len(pasture.plans) == 1
+    assert len(pasture.plans) == 2
+    assert pasture.said('controller: plan')['kind'] == 'feedback'
     pasture.show(2_000_000_000)  # the accepted half is over
-    peer.spin_until(lambda: len(pasture.plans) == 2)
+    peer.spin_until(lambda: len(pasture.plans) == 3)
+    peer.spin_until(lambda: pasture.said('controller: plan')['kind'] == 'window')
     late = peer.listen(MultiDOFJointTrajectory, 'plan', LATCHED)
     peer.spin_until(lambda: late)
     assert len(late[0].points) == 40

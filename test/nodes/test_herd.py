@@ -15,7 +15,7 @@ from herding_ros.control.closed_loop import closed_loop
 from herding_ros.control.parameters import Control
 from herding_ros.model import fast_forces
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.flock import arrived, spread
+from herding_ros.model.flock import Arrival, arrived, spread
 from herding_ros.model.simulation import World
 from herding_ros.nodes import herd
 from herding_ros.nodes.signals import ENDING, note_signals
@@ -107,12 +107,17 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
     assert summary['replans'] == len(expected.reports)
     assert summary['messages_recorded'] == sum(len(found) for found in messages.values())
     assert summary['max_spread_m'] == pytest.approx(spread(expected.x).max(), rel=1e-6)
-    assert arrived(x[-1].astype(float), np.array(GOAL), float(spread(x[0].astype(float))))
+    at_first = float(spread(x[0].astype(float)))
+    assert arrived(x[-1].astype(float), np.array(GOAL), at_first, Arrival())
     assert (out / 'trajectories.png').read_bytes().startswith(b'\x89PNG')
 
-    # Other processes with the same seed send the same bytes, but for what they say of wall time.
+    # Other processes with the same seed send the same bytes, but for what they say of wall time,
+    # also if a sheep may be left behind.
     other = tmp_path / 'other'
-    start('herd', *OPTIONS, '--time-limit', '2', '--out', str(other)).wait()
+    start('herd', *OPTIONS, '--time-limit', '2', '--strays', '1', '--out', str(other)).wait()
+    short_summary = json.loads((other / 'summary.json').read_text())
+    assert [found['arrival.strays'] for found in (summary, short_summary)] == [0, 1]
+    assert short_summary['initial_spread_m'] < summary['initial_spread_m']
     long, short = raw(out / 'bag'), raw(other / 'bag')
     assert long.keys() == short.keys()
     assert len(short['/truth/sheep']) == 21
@@ -193,6 +198,8 @@ def test_real_time_arrives_too(start: Callable[..., Any], tmp_path: Path) -> Non
         ['--real-time', '5000'],
         ['--dogs', '1001'],
         ['--sigma', '1e150'],
+        ['--strays', '30'],
+        ['--strays', '2', '--sheep', '2'],
         ['--nonsense'],
     ],
 )
@@ -214,7 +221,7 @@ def test_herd_takes_just_what_its_nodes_take() -> None:
     }
     for option, name in {
         'sheep': 'sheep', 'dogs': 'dogs', 'sigma': 'noise', 'goal': 'goal',
-        'time-limit': 'time_limit', 'real-time': 'real_time_factor',
+        'time-limit': 'time_limit', 'real-time': 'real_time_factor', 'strays': 'arrival.strays',
     }.items():  # fmt: skip
         high = fields[name]['high']
         given = [f'--{option}', str(high), *([str(-high)] if option == 'goal' else [])]

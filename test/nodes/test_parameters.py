@@ -66,7 +66,7 @@ LIVE = {
     'controller': {
         *(f'weights.{field.name}' for field in dataclasses.fields(Weights)),
         *NOISE,
-        *('horizon.length', 'horizon.accepted', 'max_speed'),
+        *('horizon.length', 'horizon.accepted', 'horizon.feedback', 'max_speed'),
     },
     'recorder': set(),
 }

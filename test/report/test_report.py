@@ -99,6 +99,48 @@ def test_summary_of_an_arrival(run: RecordedRun) -> None:
     assert summary['version'] == '1.2.3'
 
 
+def with_arrival(run: RecordedRun, **values: Any) -> RecordedRun:
+    """The run in a bag with such parameters of the sim."""
+    named = {f'arrival.{name}': value for name, value in values.items()}
+    return replace(run, parameters={'/sim': {'seed': 7, **named}})
+
+
+def test_arrival_is_judged_by_the_parameters_that_were_recorded(run: RecordedRun) -> None:
+    wide = summarise(with_arrival(run, spread=2.0))
+    assert (wide['arrived'], wide['time_s']) == (True, 1.0)
+    assert summarise(with_arrival(run, spread=2.0, radius=0.6))['time_s'] == 0.5
+    assert summarise(with_arrival(run, radius=0.01))['arrived'] is False
+    given = {'radius': 0.6, 'spread': 1.5, 'strays': 0}
+    summary = summarise(with_arrival(run, radius=0.6))
+    assert {name: summary[f'arrival.{name}'] for name in given} == given
+
+
+def test_strays_that_may_be_left_behind_do_not_count(run: RecordedRun) -> None:
+    stray = np.stack([[-5.0, 0.1 * k] for k in range(5)])[:, None]
+    more = replace(run, x=np.concatenate([stray, run.x], axis=1), v=np.zeros((5, 5, 2)))
+    left, usual, same = summarise(with_arrival(more, strays=1)), summarise(run), summarise(more)
+    for each in ('arrived', 'time_s', 'final_distance_m', 'max_spread_m', 'initial_spread_m'):
+        assert left[each] == pytest.approx(usual[each])
+        assert left[each] != pytest.approx(same[each])
+    assert left['sheep'] == 5
+    x = more.x.copy()
+    x[-1, 0] = NAN  # the stray is out of sight, and the farthest of the others does not count
+    unseen = summarise(with_arrival(replace(more, x=x), strays=1))
+    assert unseen['final_distance_m'] != pytest.approx(usual['final_distance_m'])
+
+
+def test_bad_arrival_parameters_of_a_bag_are_noted(run: RecordedRun) -> None:
+    summary = summarise(with_arrival(run, radius='wide', strays=1))
+    assert (summary['time_s'], summary['arrival.strays']) == (1.5, 0)
+    (note,) = summary['notes']
+    assert note == (
+        'the arrival is judged by the default parameters: Arrival.radius must be a number from '
+        "1e-09 to 1e+06, got 'wide'"
+    )
+    long = summarise(with_arrival(run, radius='w' * 10_000))
+    assert len(long['notes'][0]) <= 500
+
+
 def test_summary_without_arrival(run: RecordedRun) -> None:
     summary = summarise(replace(run, goal=np.array([5.0, 5.0])))
     assert summary['arrived'] is False
@@ -205,6 +247,21 @@ def test_report_of_a_bag(run: RecordedRun, tmp_path: Path, run_recorder: Any) ->
     assert 'sensor_msgs/msg/PointCloud2' in text
     assert 'arrived after 1.5 s' in text
     assert '3 replans' in text
+    assert 'left behind' not in text
+
+
+def test_report_prints_what_may_be_left_behind_and_its_notes(
+    run: RecordedRun, tmp_path: Path, run_recorder: Any
+) -> None:
+    texts = []
+    for given in ({'strays': 2}, {'strays': -2}):
+        bag = bag_of(with_arrival(run, **given), tmp_path / f'bag{len(texts)}', run_recorder)
+        console = Console(record=True, width=120, file=StringIO())
+        write_report(bag, tmp_path / 'out', console)
+        texts.append(console.export_text())
+    assert '4 sheep, 2 of which may be left behind, 2 dogs' in texts[0]
+    assert 'note:' not in texts[0]
+    assert 'note: the arrival is judged by the default parameters: Arrival.strays' in texts[1]
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,13 @@ def test_a_run_can_go_on_after_the_arrival() -> None:
     assert long['from_home']['max_distance'] >= long['from_home']['mean_distance'] > 0.0
 
 
+def test_sheep_may_be_left_behind() -> None:
+    usual, left = (run('none', time_limit=0.1, strays=strays) for strays in (0, 2))
+    assert left['initial_spread'] < usual['initial_spread']
+    assert left['paths']['spread'][0] == pytest.approx(left['initial_spread'], abs=1e-4)
+    assert left['paths']['last'] == usual['paths']['last']
+
+
 def test_measures_of_a_run_that_is_known() -> None:
     """Two dogs circle a ring of sheep, one each way, while the ring moves to the goal."""
     period, speed, steps = 0.1, 0.04, 100
@@ -49,7 +56,8 @@ def test_measures_of_a_run_that_is_known() -> None:
     turn = np.stack([0.2 * t, -0.1 * t], axis=1)
     d = middle[:, None] + np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     u = np.full((steps, 2, 2), [speed, 0.0])
-    found = measures(ClosedLoopRun(t, x, d, u, 50), np.array([0.0, 0.0]), period)
+    track = ClosedLoopRun(t, x, d, u, 50)
+    found = measures(track, np.array([0.0, 0.0]), period)
     assert found['arrived']
     assert found['time'] == 5.0
     assert found['initial_spread'] == pytest.approx(0.3)
@@ -57,6 +65,14 @@ def test_measures_of_a_run_that_is_known() -> None:
     assert found['final_distance'] == pytest.approx(0.9)
     assert found['dogs_run'] == pytest.approx(2 * speed * 10.0)
     assert found['energy'] == pytest.approx(2 * speed**2 * 10.0)
+    left = np.concatenate([x, np.full((steps + 1, 1, 2), 9.0)], axis=1)
+    whole = ClosedLoopRun(t, left, d, u, 50)
+    assert measures(whole, np.array([0.0, 0.0]), period)['max_spread'] > 3.0
+    assert measures(whole, np.array([0.0, 0.0]), period, strays=1) == found
+    paths = course(whole, np.array([0.0, 0.0]), 10, strays=1)
+    assert paths['last'][-1] == [9.0, 9.0]
+    del paths['first'], paths['last']
+    assert paths.items() <= course(track, np.array([0.0, 0.0]), 10).items()
     assert found['from_home']['turning'] == pytest.approx([0.2, -0.1])
     assert found['from_home']['turning_speed'] == pytest.approx(0.15)
     assert found['from_home']['max_distance'] == pytest.approx(0.95)

@@ -14,11 +14,13 @@ from herding_ros.control.parameters import Control, Mapping
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.model.crowd import CROWDS
+from herding_ros.model.flock import Arrival
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
 from .measures import course, measures, plans, snapshots_at
+from .starts import arranged
 from .strombom import Strombom
 from .truths import NO_FORCE
 
@@ -91,6 +93,8 @@ def run(
     stop: bool = True,
     every: float = 1.0,
     snapshots: Sequence[float] = (),
+    strays: int = 0,
+    start: str = 'usual',
 ) -> dict[str, Any]:
     """Herd a flock by a policy and return the run in numbers.
 
@@ -98,12 +102,14 @@ def run(
     Monte Carlo paths), 'strombom' (settings: those of Strombom) or 'none', a dog that no sheep
     notices.
     noise: of all observations [m and m/s], by default that of World; crowd: name of a preset;
-    stop: end with the arrival; every: spacing of the stored course [s]; snapshots: instants [s].
+    stop: end with the arrival; every: spacing of the stored course [s]; snapshots: instants [s];
+    strays: number of sheep that may be left behind; start: one of those of `arranged`, which the
+    spread at the arrival is not compared with, but with the usual one.
     The flock and its random forces depend on the seed alone.
     """
     herd = replace(CROWDS[crowd], noise=sigma, common_noise=common_noise)
     destination = np.array(goal)
-    world = World(sheep=sheep, dogs=dogs, seed=seed)
+    world = World(sheep=sheep, dogs=dogs, seed=seed, arrival=Arrival(strays=strays))
     if noise is not None:
         world = replace(world, position_noise=noise, velocity_noise=noise)
     reports: list[SolveReport] = []
@@ -120,13 +126,14 @@ def run(
     else:
         raise ValueError(f"policy must be 'planner', 'strombom' or 'none', got {policy!r}")
     simulation = Simulation(herd, world, destination)
+    simulation.state = arranged(start, simulation.state, destination)
     watched = Watched(decide, simulation, pilot)
     track = play(simulation, watched, time_limit, stop)
     period = world.control_period
     result = {
-        **measures(track, destination, period),
+        **measures(track, destination, period, strays),
         'policy_cpu': watched.seconds,
-        'paths': course(track, destination, max(round(every / period), 1)),
+        'paths': course(track, destination, max(round(every / period), 1), strays),
         'snapshots': snapshots_at(track, snapshots, period),
     }
     if pilot is not None:

@@ -4,21 +4,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 import math
 from typing import Any
 
 from herding_ros.control.closed_loop import ClosedLoopRun
 from herding_ros.control.solve_report import SolveReport
-from herding_ros.model.flock import centre, distance, spread
+from herding_ros.model.flock import centre, distance, spread, without_strays
 from herding_ros.model.state import Array
 import numpy as np
 
 
-def measures(run: ClosedLoopRun, goal: Array, period: float) -> dict[str, Any]:
+def measures(run: ClosedLoopRun, goal: Array, period: float, strays: int = 0) -> dict[str, Any]:
     """Return the result of a run. Lengths in m, times in s, energy in m^2/s.
 
-    dogs_run: length of the paths of all dogs; energy: int sum |u_m|^2 dt; from_home: see `held`.
+    strays: so many sheep, those farthest away, do not count in centre and spread; dogs_run: length
+    of the paths of all dogs; energy: int sum |u_m|^2 dt; from_home: see `held`.
     """
+    run = replace(run, x=without_strays(run.x, strays))
     spreads, away = spread(run.x), distance(run.x, goal)
     speed = np.linalg.norm(run.u, axis=-1)
     home = run.home
@@ -75,10 +78,13 @@ def plans(reports: Sequence[SolveReport]) -> dict[str, Any]:
     }
 
 
-def course(run: ClosedLoopRun, goal: Array, every: int) -> dict[str, Any]:
-    """Return every so many-th instant of a run, and the last, rounded, for figures."""
+def course(run: ClosedLoopRun, goal: Array, every: int, strays: int = 0) -> dict[str, Any]:
+    """Return every so many-th instant of a run, and the last, rounded, for figures.
+
+    strays: as in `measures`; 'first' and 'last' have all sheep.
+    """
     index = sorted({*range(0, len(run.t), every), len(run.t) - 1})
-    x = run.x[index]
+    x = without_strays(run.x[index], strays)
     return {
         't': [round(float(t), 3) for t in run.t[index]],
         'centre': rounded(centre(x)),

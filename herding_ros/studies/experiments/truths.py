@@ -86,7 +86,9 @@ class OtherWorld(Simulation):
     @property
     def arrived(self) -> bool:
         """Whether those that notice dogs have arrived."""
-        return arrived(single(self._noticing), self.goal, self._noticing_spread)
+        return arrived(
+            single(self._noticing), self.goal, self._noticing_spread, self.world.arrival
+        )
 
     def observe(self) -> Observation:
         """Return a noisy observation of some time ago, at first that of the start."""
