@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller herds in a simulator of somebody else: here, sheep on a meadow that slopes.
 
-What `play` and `steer` ask of a plant is what this class has. The controller is told that the
-meadow is flat.
+This class has what `steer` asks of a plant. The controller is told that the meadow is flat.
 """
 
 from herding_ros import Control, Crowd, HerdState, Mapping, Observation, RecedingHorizon, steer
@@ -12,31 +11,33 @@ GOAL, SLIDE = np.array([0.4, 0.4]), np.array([0.002, 0.0])  # [m], [m/s]
 
 
 class Meadow:
-    """Ten sheep without inertia that flee three dogs, stay together, and slide to the right."""
+    """Ten sheep that flee three dogs, stay together, and slide to the right."""
 
     control_period = 0.1  # [s]
 
     def __init__(self, seed):
-        rng = np.random.default_rng(seed)
-        x = 0.2 * rng.standard_normal((10, 2))
+        """Start from the seed."""
+        x = 0.2 * np.random.default_rng(seed).standard_normal((10, 2))
         d = np.array([[-0.9, -0.3], [-0.6, -0.6], [-0.3, -0.9]])
         self.state, self.dog_velocities = HerdState(x, np.zeros_like(x), d), np.zeros_like(d)
 
     @property
     def arrived(self):
+        """Whether the flock's centre is at the goal."""
         return np.linalg.norm(self.state.x.mean(axis=0) - GOAL) < 0.05
 
     def observe(self):
+        """Return what the sensors see: here, everything."""
         return Observation(self.state, self.dog_velocities)
 
     def advance(self, u):
+        """Move on by one control period under the dogs' velocities u (M, 2) [m/s]."""
         x, d = self.state.x, self.state.d
         apart = x[:, None] - d
         r = np.linalg.norm(apart, axis=2, keepdims=True)
         v = (0.04 * np.exp(-2.0 * r) * apart / r).sum(axis=1)
         v += SLIDE + 0.05 * (x.mean(axis=0) - x)
-        step = self.control_period
-        self.state, self.dog_velocities = HerdState(x + step * v, v, d + step * u), u
+        self.state, self.dog_velocities = HerdState(x + 0.1 * v, v, d + 0.1 * u), u
 
 
 planner = RecedingHorizon(Crowd(), Control(mapping=Mapping(max_iterations=0)), GOAL)

@@ -24,10 +24,15 @@ from .truths import NO_FORCE, OtherWorld, Truth
 
 
 class Field(Plant, Protocol):
-    """A plant with a goal (2,) [m] and the radius of the region around it [m]."""
+    """A plant that has a goal with a region around it."""
 
-    goal: Array
-    radius: float
+    @property
+    def goal(self) -> Array:
+        """Where the herd should be, (2,) [m]."""
+
+    @property
+    def radius(self) -> float:
+        """Radius of the region around the goal in which sheep are counted [m]."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,7 @@ def targets(seed: int, **given: Any) -> Stranger:
         'horizon.control_period': setting.control_period,
         'horizon.length': 4.0,
         'horizon.accepted': 2.0,
+        'horizon.feedback': 0.25,
         'mapping.standard_error': 0.05,
     }
     rule = lama.Rule(setting.radius, setting.max_speed, behind=0.5 * setting.reach)
@@ -87,6 +93,7 @@ def flock(seed: int) -> Stranger:
         'horizon.control_period': plant.control_period,
         'horizon.length': 60.0,
         'horizon.accepted': 30.0,
+        'horizon.feedback': 3.0,
         'horizon.substeps': 10,
         'mapping.standard_error': 0.05,
     }
