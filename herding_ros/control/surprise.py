@@ -6,8 +6,8 @@ whose coordinates have the variance
 
     q(T) = sigma^2 / alpha^2 (T - 2 (1 - e^-aT) / alpha + (1 - e^-2aT) / (2 alpha)),    a = alpha,
 
-the integral of an Ornstein-Uhlenbeck velocity that starts at a known value. Forces between sheep
-do not move their centre, whose coordinates have the variance q (c + (1 - c) / N) for N sheep
+the integral of an Ornstein-Uhlenbeck velocity that starts at a known value; in a crowd of first
+order it diffuses, q(T) = sigma^2 / alpha^2 T. Forces between sheep do not move their centre, whose coordinates have the variance q (c + (1 - c) / N) for N sheep
 that have the share c of the noise in common. The spread, the root mean square of N distances from
 the centre, then varies by about q / N, and its mean square grows by 2 q (1 - c) (1 - 1 / N).
 """
@@ -45,7 +45,7 @@ def is_surprising(
     """
     n = len(state.x)
     sigma = math.sqrt(np.square(strength(crowd, t, state.x)).mean())
-    moved = sigma**2 * displacement_variance(crowd.friction, elapsed)
+    moved = sigma**2 * displacement_variance(crowd, elapsed)
     seen = 2.0 * sensor.position_noise**2 + (sensor.velocity_noise * elapsed) ** 2
     common = crowd.common_noise
     single = (1.0 - common) * moved + seen
@@ -57,11 +57,13 @@ def is_surprising(
     return abs(float(spread(state.x)) - wider) > _DEVIATIONS * math.sqrt(single / n + _UNTOLD**2)
 
 
-def displacement_variance(friction: float, elapsed: float) -> float:
-    """Return q / sigma^2 [s^3], see above: of a coordinate, after a time [s] of friction [1/s]."""
-    a = friction * elapsed
+def displacement_variance(crowd: Crowd, elapsed: float) -> float:
+    """Return q / sigma^2 [s^3], see above: of a coordinate of a free sheep, after a time [s]."""
+    if crowd.order == 1:
+        return elapsed / crowd.friction**2
+    a = crowd.friction * elapsed
     if a < 1e-2:  # where the terms cancel: its series
         return elapsed**3 / 3.0 * (1.0 - 0.75 * a)
     # 1 - e^-a = -expm1(-a)
     sum_of_terms = a + 2.0 * math.expm1(-a) - 0.5 * math.expm1(-2.0 * a)
-    return sum_of_terms / friction**3
+    return sum_of_terms / crowd.friction**3

@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from . import kernels
-from .crowd import Crowd
+from .crowd import Crowd, CROWDS
 from .dynamics import physics, reverse_sweep, rollout, to_lanes
 from .linear_algebra import times, transposed_times
 from .motion import Holonomic
@@ -70,11 +70,12 @@ def warm_up_others() -> float:
 def main() -> None:
     """Compile all kernels, on two processors if there are as many."""
     started = time.perf_counter()
+    # With a table for the sheep, as in the mean-field limit of a large flock, or for the dogs.
+    tables = (Crowd(sheep=Mollified(Morse())), CROWDS['independent'])
     with ProcessPoolExecutor(2) as pool:
         for done in [pool.submit(warm_up), pool.submit(warm_up_others)]:
             done.result()
-    # The mean-field limit of a large flock also needs sheep with a table.
-    warm_up(Crowd(sheep=Mollified(Morse())))
+        list(pool.map(warm_up, tables))
     print(f'kernels ready after {time.perf_counter() - started:.1f} s')
 
 

@@ -76,7 +76,7 @@ class Controller(HerdingNode):
             self._pilot = LockstepPilot(planner, settings.dogs)
         else:
             self._pilot = RealTimePilot(planner, settings.dogs, settings, self._seconds)
-        self.load_kernels(warm_up)
+        self.load_kernels(partial(warm_up, crowd))
         self._mismatches = Mismatches(self)
         self._create_publishers()
         self.follow([('crowd.', crowd), ('', control)], self._pilot.adjust)

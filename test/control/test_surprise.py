@@ -40,7 +40,8 @@ def test_variance_is_that_of_a_velocity_with_friction_and_random_force(
     for _ in range(steps):
         covariance = a @ covariance @ a.T + np.diag([0.0, dt])
     expected = covariance[0, 0]
-    assert displacement_variance(friction, elapsed) == pytest.approx(expected, rel=1e-3)
+    found = displacement_variance(Crowd(friction=friction), elapsed)
+    assert found == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize('elapsed', [0.1, 1.0, 5.0])
@@ -50,6 +51,7 @@ def test_variance_is_that_of_a_velocity_with_friction_and_random_force(
     [
         (Crowd(noise=0.03), Sensor()),
         (Crowd(noise=0.03, common_noise=0.5), Sensor()),
+        (Crowd(noise=0.03, order=1), Sensor()),
         (Crowd(noise=0.01), Sensor(0.05, 0.05)),
     ],
 )
