@@ -31,7 +31,7 @@ class Weights(Parameters):
     )
     beyond: float = quantity(
         1.0,
-        'weight of what lies beyond the window: the time that dogs still need to get behind strays',
+        'weight of what lies beyond the window: the time that dogs need to get behind strays',
         low=0.0,
         live=True,
     )

@@ -6,10 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.state import Array
 import numpy as np
 
-_DISTANCES: Array = np.geomspace(1e-4, 1e4, 1601)
+_DISTANCES = np.geomspace(1e-4, 1e4, 1601, dtype=np.float64)
 """Where the force of a dog is looked up [m]."""
 
 _STRONG, _FELT = 0.8, 0.1

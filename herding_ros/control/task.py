@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from herding_ros.model.flock import centre
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.flock import centre, spread
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array
 import numpy as np
@@ -40,13 +41,14 @@ _ROUNDING = 0.5
 class Task:
     """The costs of a window and the rules that may do it, for the state that it starts in.
 
-    speed: of the reference [m/s]; reach: None if no sheep notices a dog; errands: None if the
+    spread: weight of the sheep's distance from their centre; speed: of the reference [m/s]; reach: None if no sheep notices a dog; errands: None if the
     cost ends with the window, or dogs attract.
     """
 
     control: Control
     goal: Array
     start: Array
+    spread: float
     speed: float
     reach: Reach | None
     errands: Errands | None
@@ -57,10 +59,11 @@ class Task:
         crowd, state, reach = model.crowd, model.state, Reach.of(model.crowd)
         attainable = control.reference.kind == 'attainable'
         speed = pace(crowd, state, goal, control.max_speed) if attainable else 0.0
-        errands = None
+        errands, weight = None, control.weights.spread
         if reach is not None and reach.repels and control.weights.beyond:
             errands = Errands.of(reach, state, goal)
-        return cls(control, goal, centre(state.x), speed, reach, errands)
+            weight *= _growth(crowd, state.x[errands.together], control.horizon.length)
+        return cls(control, goal, centre(state.x), weight, speed, reach, errands)
 
     def costs(self, times: Array, defect: Array | float = 0.0) -> list[Cost]:
         """Return the costs at the given times [s] of a window, control effort apart.
@@ -71,15 +74,16 @@ class Task:
         weights, errands = self.control.weights, self.errands
         if errands is not None and errands.goal is not None:
             place = np.broadcast_to(self.goal, (len(times), 2))
-            costs: list[Cost] = [Tracking(weights.spread, weights.spread, place)]
+            costs: list[Cost] = [Tracking(self.spread, self.spread, place)]
         else:
             route = reference(
                 self.control.reference.kind, self.speed, self.start, self.goal, times
             )
             rounding = TINY if self.reach is None else _ROUNDING * self.reach.standoff
+            weights = replace(weights, spread=self.spread)
             costs = weighted_costs(weights, route - defect, rounding)
         if errands is not None:
-            to_go = weights.beyond * weights.spread
+            to_go = weights.beyond * self.spread
             costs.append(CostToGo(errands, to_go, self.control.max_speed))
         return costs
 
@@ -92,3 +96,16 @@ class Task:
             name: rule_plan(RULES[name], model, self.reach, self.goal, max_speed, intervals)
             for name in names
         }
+
+
+def _growth(crowd: Crowd, x: Array, time: float) -> float:
+    """Return by which factor noise alone would raise the mean square distance from the centre.
+
+    Of free sheep it grows by 2 (sigma / alpha)^2 in a unit of time (diffusion in the plane), but
+    for the noise that all have in common. The coarse model knows nothing of it: without this
+    factor the flock would be driven as fast under strong noise as under none.
+    """
+    if not len(x) or not crowd.friction:
+        return 1.0
+    own = crowd.noise**2 * (1.0 - crowd.common_noise)
+    return 1.0 + 2.0 * own / crowd.friction**2 * time / max(float(spread(x)) ** 2, TINY)
