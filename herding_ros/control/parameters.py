@@ -36,7 +36,7 @@ class Weights(Parameters):
         live=True,
     )
     terminal: float = quantity(
-        0.0,
+        10.0,
         'weight of centre and spread at the end of the window: it counts as if it went on for '
         'so long',
         's',
@@ -270,7 +270,7 @@ class Control(Parameters):
 
 
 PAPER = Control(
-    weights=Weights(distance=0.0, centre=1.0, spread=1.0, dogs=0.0, beyond=0.0),
+    weights=Weights(distance=0.0, centre=1.0, spread=1.0, dogs=0.0, beyond=0.0, terminal=0.0),
     reference=Reference(kind='interpolated'),
     horizon=Horizon(feedback=10.0),
     optimiser=Optimiser('spg', tolerance=5e-3, rules=False),
