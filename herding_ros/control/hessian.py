@@ -69,14 +69,16 @@ class Hessian:
         if curvature > 0.0:
             self._theta = curvature / float((s * smooth).sum())
         if (s * y).sum() > 0.0:
-            self._add(s.ravel(), y.ravel(), smooth.ravel())
+            self._steps.append((s, y))
+            self._smoothed.append(smooth)
+            self._prepare()
 
-    def _add(self, step: Array, change: Array, smooth: Array) -> None:
-        self._steps.append((step, change))
-        self._smoothed.append(smooth)
-        self._w = np.array([*self._smoothed, *(change for _, change in self._steps)])
+    def _prepare(self) -> None:
+        """Compute W and the matrix between W^T and W, after a step."""
+        changes = (change for _, change in self._steps)
+        self._w = np.array([each.ravel() for each in (*self._smoothed, *changes)])
         products = np.empty(len(self._w))
-        times(self._w, step, products)
+        times(self._w, self._steps[-1][0].ravel(), products)
         along_smoothed, along_changes = np.split(products, 2)
         self._gram = _with_row(self._gram, along_smoothed)
         self._cross = _with_row(self._cross, along_changes)
@@ -108,8 +110,9 @@ class Hessian:
         x, slope = u.reshape(rows, -1).copy(), gradient.reshape(rows, -1).copy()
         length = float((slope * slope).sum() / (slope * self.times(slope)).sum())
         first = None
+        trial = x - length * slope
         for _ in range(_ITERATIONS):
-            trial = project((x - length * slope).reshape(u.shape)).reshape(rows, -1)
+            trial = project(trial.reshape(u.shape)).reshape(rows, -1)
             squared, curvature = advance(trial, x, slope, self._theta, self._w, self._q)
             if first is None:
                 first = squared
@@ -118,7 +121,6 @@ class Hessian:
             if curvature <= 0.0:
                 self._forget_steps()
                 return self.model_minimum(project, u, gradient)
-            length = squared / curvature
         return x.reshape(u.shape)
 
 
