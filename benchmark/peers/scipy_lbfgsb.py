@@ -18,11 +18,14 @@ from herding_ros.model.state import Array
 import numpy as np
 from scipy.optimize import minimize
 
+_SATURATED = 0.99
+"""A start at the speed limit begins here: at the limit itself the derivative vanishes."""
+
 
 def minimise(
     value_and_gradient: ValueAndGradient, start: Array, max_speed: float, interval: float
 ) -> Array:
-    """Return the control (intervals, M, 2) [m/s] that L-BFGS-B ends with, from u = 0.
+    """Return the control (intervals, M, 2) [m/s] that L-BFGS-B ends with, from the start on.
 
     value_and_gradient gives the gradient in L2(0, T); interval [s] turns it into partial
     derivatives.
@@ -44,5 +47,13 @@ def minimise(
         return value, (radial * along + stretch * (gradient - along)).ravel()
 
     options = {'maxiter': 1000, 'maxfun': 1000, 'ftol': 0.0, 'gtol': 0.0}
-    found = minimize(function, np.zeros(start.size), jac=True, method='L-BFGS-B', options=options)
+    w = _inverse(start / max_speed).ravel()
+    found = minimize(function, w, jac=True, method='L-BFGS-B', options=options)
     return control(found.x)[0]
+
+
+def _inverse(u: Array) -> Array:
+    """Return w with u = tanh(|w|) w / |w|; where |u| is near 1, as if it were _SATURATED."""
+    r = np.hypot(u[..., 0], u[..., 1])[..., None]
+    ratio = np.divide(np.arctanh(np.minimum(r, _SATURATED)), r, out=np.ones_like(r), where=r > 0.0)
+    return u * ratio
