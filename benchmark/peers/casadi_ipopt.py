@@ -19,11 +19,12 @@ import numpy as np
 
 
 class _Watch(ca.Callback):
-    """Ends IPOPT once the control of an iterate is good enough."""
+    """Ends IPOPT once the control of an iterate is good enough, or time is over."""
 
-    def __init__(self, sizes: tuple[int, int], first: int, good: Callable[[Array], bool]) -> None:
+    def __init__(self, sizes: tuple[int, int], value: Callable[[Array], float]) -> None:
         super().__init__()
-        self._sizes, self._first, self._good = sizes, first, good
+        self._sizes, self._value = sizes, value
+        self.least, self.target, self.end = np.inf, -np.inf, np.inf
         self.construct('watch', {})
 
     def get_n_in(self) -> int:
@@ -38,7 +39,8 @@ class _Watch(ca.Callback):
         return ca.Sparsity.dense(size.get(ca.nlpsol_out(i), 0), 1)
 
     def eval(self, arguments: list[Any]) -> list[int]:
-        return [int(self._good(np.asarray(arguments[0])[self._first :, 0]))]
+        self.least = min(self.least, self._value(np.asarray(arguments[0])[:, 0]))
+        return [int(self.least <= self.target or time.perf_counter() > self.end)]
 
 
 def solver(race: Race) -> Callable[[float], float]:
@@ -67,16 +69,13 @@ def solver(race: Race) -> Callable[[float], float]:
         [np.zeros(size * steps), np.full(m * intervals, race.control.max_speed**2)]
     )
 
-    least, end = np.inf, np.inf
-
-    def enough(u: Array) -> bool:
-        nonlocal least
-        admissible = race.project(u.reshape(intervals, 2, m).transpose(0, 2, 1))
-        least = min(least, race.value(admissible))
-        return least <= race.target or time.perf_counter() > end
+    def objective(unknowns: Array) -> float:
+        u = unknowns[states.numel() :].reshape(intervals, 2, m).transpose(0, 2, 1)
+        return race.value(race.project(u))
 
     unknowns = ca.veccat(states, control)
-    watch = _Watch((unknowns.numel(), constraints.numel()), states.numel(), enough)
+    watch = _Watch((unknowns.numel(), constraints.numel()), objective)
+    watch.target = race.target
     options = {
         'iteration_callback': watch,
         'print_time': False,
@@ -90,9 +89,8 @@ def solver(race: Race) -> Callable[[float], float]:
     start = np.concatenate([guess.ravel(), race.start.transpose(0, 2, 1).ravel()])
 
     def solve(seconds: float) -> float:
-        nonlocal least, end
-        least, end = np.inf, time.perf_counter() + seconds
+        watch.least, watch.end = np.inf, time.perf_counter() + seconds
         ipopt(x0=start, lbg=lower, ubg=upper)
-        return least
+        return watch.least
 
     return solve
