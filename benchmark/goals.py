@@ -117,6 +117,7 @@ GOALS = (
         10.0,
         least_ratio('whole solve', peer='IPOPT'),
     ),
+    Goal("The same: crocoddyl's time / ours", 10.0, least_ratio('whole solve', peer='DDP')),
     Goal("The same: MPPI's time / ours", 10.0, least_ratio('whole solve', peer='MPPI')),
     Goal(
         'Feedback, N = 30, M = 5, horizon 20 s, in values with gradient on its grid',

@@ -8,7 +8,7 @@ import copy
 import time
 from typing import Any
 
-from benchmark.peers import casadi_ipopt, mppi, scipy_lbfgsb
+from benchmark.peers import casadi_ipopt, crocoddyl_ddp, mppi, scipy_lbfgsb
 from benchmark.race import Race
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import RecedingHorizon
@@ -20,9 +20,13 @@ import pytest
 SEEDS = range(5)
 STARTS = {'cold': 0.0, 'after 1 s': 1.0, 'after 10 s': 10.0}
 """Seconds of an earlier plan that have been played."""
-PATIENCE = {'IPOPT': 20.0, 'MPPI': 2.0}
+PATIENCE = {'IPOPT': 20.0, 'DDP': 20.0, 'MPPI': 2.0}
 """Seconds that a peer is given to reach the target."""
-WHOLE_SOLVES = {'IPOPT': casadi_ipopt.solver, 'MPPI': mppi.solver}
+WHOLE_SOLVES = {
+    'IPOPT': casadi_ipopt.solver,
+    'DDP': crocoddyl_ddp.solver,
+    'MPPI': mppi.solver,
+}
 
 seeds = pytest.mark.parametrize('seed', SEEDS, ids='seed{}'.format)
 

@@ -61,10 +61,11 @@ def test_scipy_begins_from_the_start() -> None:
     np.testing.assert_allclose(seen[0][0, :2], start[0, :2], rtol=1e-14)
 
 
-@pytest.mark.parametrize('peer', ['casadi_ipopt', 'mppi'])
+@pytest.mark.parametrize('peer', ['casadi_ipopt', 'crocoddyl_ddp', 'mppi'])
 def test_peers_lower_the_same_objective(peer: str) -> None:
-    if peer == 'casadi_ipopt':
-        pytest.importorskip('casadi')
+    library, _, _ = peer.partition('_')
+    if library != peer:
+        pytest.importorskip(library)
     module = pytest.importorskip(f'benchmark.peers.{peer}')
     race = Race(1, horizon=3.0)
     at_rest = race.value(race.start)

@@ -31,25 +31,26 @@ def minimise(
     derivatives.
     """
 
-    def control(w: Array) -> tuple[Array, Array, Array]:
-        w = w.reshape(start.shape)
-        r = np.hypot(w[..., 0], w[..., 1])[..., None]
-        stretch = np.divide(np.tanh(r), r, out=np.ones_like(r), where=r > 0.0)
-        direction = np.divide(w, r, out=np.zeros_like(w), where=r > 0.0)
-        return max_speed * stretch * w, stretch, direction
-
     def function(w: Array) -> tuple[float, Array]:
-        u, stretch, direction = control(w)
-        value, gradient = value_and_gradient(u)
+        unit, stretch, direction = disc(w.reshape(start.shape))
+        value, gradient = value_and_gradient(max_speed * unit)
         gradient = interval * max_speed * gradient
         along = (gradient * direction).sum(-1, keepdims=True) * direction
-        radial = 1.0 - np.square(u / max_speed).sum(-1, keepdims=True)  # d tanh(r) / dr
+        radial = 1.0 - np.square(unit).sum(-1, keepdims=True)  # d tanh(r) / dr
         return value, (radial * along + stretch * (gradient - along)).ravel()
 
     options = {'maxiter': 1000, 'maxfun': 1000, 'ftol': 0.0, 'gtol': 0.0}
     w = _inverse(start / max_speed).ravel()
     found = minimize(function, w, jac=True, method='L-BFGS-B', options=options)
-    return control(found.x)[0]
+    return max_speed * disc(found.x.reshape(start.shape))[0]
+
+
+def disc(w: Array) -> tuple[Array, Array, Array]:
+    """Return u = tanh(|w|) w / |w| for w (..., 2), with tanh(|w|) / |w| and w / |w|."""
+    r = np.hypot(w[..., 0], w[..., 1])[..., None]
+    stretch = np.divide(np.tanh(r), r, out=np.ones_like(r), where=r > 0.0)
+    direction = np.divide(w, r, out=np.zeros_like(w), where=r > 0.0)
+    return stretch * w, stretch, direction
 
 
 def _inverse(u: Array) -> Array:

@@ -65,12 +65,13 @@ def hessian_times(h: Array, theta: float, w: Array, q: Array, out: Array) -> Non
 
 @kernel
 def advance(
-    trial: Array, x: Array, slope: Array, theta: float, w: Array, q: Array
+    trial: Array, x: Array, slope: Array, theta: float, w: Array, q: Array, short: bool
 ) -> tuple[float, float]:
     """Move x towards trial, at most all the way, to where the quadratic function is least.
 
-    slope is its gradient at x, and is kept up to date. Leaves a spectral step from there, to be
-    projected, in trial. Returns |trial - x|^2 and the same in the norm of B, as they were.
+    slope is its gradient at x, and is kept up to date. Leaves a step against the slope from there,
+    to be projected, in trial: the long or the short one of Barzilai and Borwein. Returns
+    |trial - x|^2 and the same in the norm of B, as they were.
     """
     step = trial - x
     product = np.empty_like(step)
@@ -81,7 +82,7 @@ def advance(
     descent = _dot(s, flat)
     if curvature > 0.0:
         fraction = min(max(-descent / curvature, 0.0), 1.0)
-        length = squared / curvature
+        length = curvature / _dot(along, along) if short else squared / curvature
         flat_x, flat_trial = x.reshape(size), trial.reshape(size)
         for i in range(size):
             flat_x[i] += fraction * flat[i]

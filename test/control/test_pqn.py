@@ -57,7 +57,7 @@ def test_no_unit_is_hidden(seed: int, value: float, length: float, time: float) 
     expected, status = solved(1.0, 1.0, 1.0)
     found, same = solved(value, length / time, time)
     assert status is same is Status.CONVERGED
-    assert len(expected) > 8
+    assert len(expected) > 5
     np.testing.assert_array_equal(found, expected)
 
 
