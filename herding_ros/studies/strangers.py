@@ -222,6 +222,8 @@ def _goals(runs: _Runs) -> list[Goal]:
     goals = []
     for name in _HERDS:
         rule, ours = (runs[name, each] for each in (_RULE, _OURS))
+        if not len(ours):
+            continue
         known = min(len(rule), len(ours)) >= 20
         success = _success(ours)
         reached = success.value >= _success(rule).value if known else None
@@ -231,7 +233,7 @@ def _goals(runs: _Runs) -> list[Goal]:
         goals.append(Goal(f'{name}: mean time', f'≤ {bound} s', f'{time} s', reached))
     for name, (dogs, _) in _TRUTHS.items():
         each = {controller: _success(runs[name, controller]) for controller in _CONTROLLERS}
-        if dogs == 3:
+        if dogs == 3 and each[_OURS].count:
             goals.append(_goal_of_truth(name, each))
     return goals
 
