@@ -32,8 +32,8 @@ _CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
 _RULE, _OURS, _PAPER = _CONTROLLERS
 
 _HERDS: dict[str, tuple[str, dict[str, Any], float, float]] = {
-    '2 herders, 7 targets': ('targets', asdict(SMALL), 100.0, 20.0),
-    '10 herders, 50 targets': ('targets', asdict(MAIN), 150.0, 600.0),
+    '2 herders, 7 targets': ('targets', asdict(SMALL), 100.0, 40.0),
+    '10 herders, 50 targets': ('targets', asdict(MAIN), 150.0, 450.0),
     '1 dog, 25 sheep': ('flock', {}, 700.0, 60.0),
 }
 """Plants of others with their parameters, the time limit [s] and the cost of a run of ours."""
