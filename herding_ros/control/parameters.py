@@ -164,7 +164,7 @@ class Optimiser(Parameters):
         choices=('pqn', 'spg', 'ncg'),
     )
     tolerance: float = quantity(
-        5e-5,
+        1e-4,
         'pqn: decrease that the next step promises, relative to the objective; spg: length of the '
         'projected gradient [m/s^0.5]; ncg: length of the last step [m/s^0.5]',
         low=0.0,
