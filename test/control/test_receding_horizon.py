@@ -6,11 +6,10 @@ from functools import partial
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
-from herding_ros.control.objective import Objective, weighted_costs
+from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping, Optimiser, PAPER
 from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import RecedingHorizon
-from herding_ros.control.reference import reference
 from herding_ros.control.solution import Budget, Problem, Status
 from herding_ros.control.solve_report import SolveReport
 from herding_ros.control.space_mapping import aggressive_mapping, MappingProblem
@@ -279,7 +278,7 @@ def test_out_of_time_plays_the_last_plan_on() -> None:
 
 
 def test_improvement_is_the_solve_on_the_controls_own_time_grid() -> None:
-    """To the bit where the window has that grid, no mapping, as many iterations, no better start."""
+    """To the bit where the window has that grid, no mapping, and as many iterations."""
     horizon = Horizon(length=10.0, accepted=5.0, substeps=1)
     optimiser = Optimiser(tolerance=0.0, max_iterations=9, feedback_iterations=9)
     control = Control(horizon=horizon, optimiser=optimiser, mapping=Mapping(max_iterations=0))
@@ -440,10 +439,8 @@ def test_plan_on_the_default_time_grid_costs_no_more_than_one_on_the_sims(
     state = herd(sheep, 5)
     model = CoarseModel(Crowd(), state, fine.horizon.dt, fine.horizon.substeps)
     times = np.arange(horizon.intervals * 10 + 1) * horizon.dt
-    route = reference(control.reference, state, GOAL, times)
-    cost = Objective(
-        [*weighted_costs(control.weights, route), ControlEffort(control.weights.control)]
-    )
+    costs = Task.of(control, model, GOAL).costs(times)
+    cost = Objective([*costs, ControlEffort(control.weights.control)])
     played, best = (
         model.value_and_gradient(cost, solved(0.0, each, state).plan.u)[0]
         for each in (control, fine)
