@@ -54,7 +54,7 @@ class Errands:
         are nearer to it than to others, the farthest.
         """
         x, d = state.x, state.dogs
-        middle = np.median(x, axis=0)
+        middle = _middle(x)
         off = np.linalg.norm(x - middle, axis=1)
         radius = float(np.median(off))
         individually = radius > _SCATTERED * reach.reach
@@ -80,6 +80,15 @@ class Errands:
     def place(self, x: Array) -> Array:
         """Return where strays are brought (2,) [m], for sheep at x (N, 2) [m]."""
         return centre(x[self.together]) if self.goal is None else self.goal
+
+
+def _middle(x: Array) -> Array:
+    """Return the middle (2,) of most sheep: of the half that is nearest to the centre, twice."""
+    middle = centre(x)
+    for _ in range(2):
+        off = np.linalg.norm(x - middle, axis=1)
+        middle = centre(x[off <= np.median(off)])
+    return middle
 
 
 def behind_each(x: Array, place: Array, standoff: float) -> Array:

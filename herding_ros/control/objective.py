@@ -35,16 +35,22 @@ class Objective:
 def weighted_costs(weights: Weights, reference: Array, rounding: float) -> list[Cost]:
     """Return the costs of sheep and dogs that the weights ask for, control effort apart.
 
-    reference: (K+1, 2) [m]; rounding: of distances [m], see `Distance`. A cost without weight is left out.
+    reference: (K+1, 2) [m]; rounding: of distances [m], see `Distance`. A cost without weight is
+    left out.
     """
-    tracking = Tracking(weights.centre, weights.spread, reference)
-    costs: list[Cost] = [tracking]
-    if weights.distance:
-        costs.append(Distance(weights.distance, rounding, reference))
+    costs = _running_costs(weights, reference, rounding)
     if weights.terminal:
-        costs.append(Terminal(weights.terminal, tracking))
+        last = _running_costs(weights, reference[-2:], rounding)
+        costs.append(Terminal(weights.terminal, last))
     if weights.containment:
         costs.append(Containment(weights.containment, weights.radius, reference))
     if weights.dogs:
         costs.append(Leash(weights.dogs, reference))
+    return costs
+
+
+def _running_costs(weights: Weights, reference: Array, rounding: float) -> list[Cost]:
+    costs: list[Cost] = [Tracking(weights.centre, weights.spread, reference)]
+    if weights.distance:
+        costs.append(Distance(weights.distance, rounding, reference))
     return costs

@@ -36,7 +36,7 @@ class Weights(Parameters):
         live=True,
     )
     terminal: float = quantity(
-        0.0,
+        10.0,
         'weight of centre and spread at the end of the window: it counts as if it went on for '
         'so long',
         's',
@@ -164,7 +164,7 @@ class Optimiser(Parameters):
         choices=('pqn', 'spg', 'ncg'),
     )
     tolerance: float = quantity(
-        1e-4,
+        5e-5,
         'pqn: decrease that the next step promises, relative to the objective; spg: length of the '
         'projected gradient [m/s^0.5]; ncg: length of the last step [m/s^0.5]',
         low=0.0,
@@ -270,7 +270,7 @@ class Control(Parameters):
 
 
 PAPER = Control(
-    weights=Weights(distance=0.0, centre=1.0, spread=1.0, dogs=0.0, beyond=0.0),
+    weights=Weights(distance=0.0, centre=1.0, spread=1.0, dogs=0.0, beyond=0.0, terminal=0.0),
     reference=Reference(kind='interpolated'),
     horizon=Horizon(feedback=10.0),
     optimiser=Optimiser('spg', tolerance=5e-3, rules=False),

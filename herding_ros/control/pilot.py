@@ -229,7 +229,7 @@ class Pilot:
             age > horizon.feedback - SLACK
             or plan.request.goal != self._goal
             or is_surprising(
-                self._crowd, self._control.sensor, plan.window, age, estimate.state, estimate.t
+                self._crowd, self._control, plan.window, age, estimate.state, estimate.t
             )
         )
 

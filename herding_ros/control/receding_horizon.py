@@ -260,7 +260,8 @@ class RecedingHorizon:
             iterations=sum(each.iterations for each in solutions),
             calls=sum(each.calls for each in solutions),
         )
-        if self._is_without_influence(coarse, solution.u, task):
+        hurried = solution.status is Status.OUT_OF_TIME
+        if not hurried and self._is_without_influence(coarse, solution.u, task):
             solution = replace(solution, status=Status.NO_INFLUENCE)
         return solution, costs
 

@@ -41,8 +41,9 @@ _ROUNDING = 0.5
 class Task:
     """The costs of a window and the rules that may do it, for the state that it starts in.
 
-    spread: weight of the sheep's distance from their centre; speed: of the reference [m/s]; reach: None if no sheep notices a dog; errands: None if the
-    cost ends with the window, or dogs attract.
+    spread: weight of the sheep's distance from their centre; speed: of the reference [m/s];
+    reach: None if no sheep notices a dog; errands: None if the cost ends with the window, or dogs
+    attract.
     """
 
     control: Control
@@ -62,7 +63,8 @@ class Task:
         errands, weight = None, control.weights.spread
         if reach is not None and reach.repels and control.weights.beyond:
             errands = Errands.of(reach, state, goal)
-            weight *= _growth(crowd, state.x[errands.together], control.horizon.length)
+            here = state.x[errands.together]
+            weight *= _growth(crowd, here, reach.standoff, control.horizon.length)
         return cls(control, goal, centre(state.x), weight, speed, reach, errands)
 
     def costs(self, times: Array, defect: Array | float = 0.0) -> list[Cost]:
@@ -98,14 +100,15 @@ class Task:
         }
 
 
-def _growth(crowd: Crowd, x: Array, time: float) -> float:
+def _growth(crowd: Crowd, x: Array, least: float, time: float) -> float:
     """Return by which factor noise alone would raise the mean square distance from the centre.
 
     Of free sheep it grows by 2 (sigma / alpha)^2 in a unit of time (diffusion in the plane), but
     for the noise that all have in common. The coarse model knows nothing of it: without this
-    factor the flock would be driven as fast under strong noise as under none.
+    factor the flock would be driven as fast under strong noise as under none. A spread [m] counts
+    as the least one at least.
     """
     if not len(x) or not crowd.friction:
         return 1.0
     own = crowd.noise**2 * (1.0 - crowd.common_noise)
-    return 1.0 + 2.0 * own / crowd.friction**2 * time / max(float(spread(x)) ** 2, TINY)
+    return 1.0 + 2.0 * own / crowd.friction**2 * time / max(float(spread(x)), least) ** 2

@@ -28,9 +28,9 @@ def _dot(x: Array, y: Array) -> float:
 
 
 @kernel
-def _add_multiple(factor: float, x: Array, out: Array) -> None:
+def _add_multiples(a: float, x: Array, b: float, y: Array, out: Array) -> None:
     for i in range(x.shape[0]):
-        out[i] += factor * x[i]
+        out[i] += a * x[i] + b * y[i]
 
 
 @kernel
@@ -38,20 +38,20 @@ def smoothed(h: Array, out: Array) -> None:
     """Put (S + MU) h in out[intervals, components]."""
     n, components = h.shape
     square = 1.0 / (n * n)
-    for c in range(components):
-        integral = 0.0
-        for k in range(n):
-            integral += h[k, c]
-            out[k, c] = integral
-        integral = 0.0
-        for k in range(n - 1, -1, -1):
-            integral += out[k, c]
-            out[k, c] = square * integral + MU * h[k, c]
+    out[0] = h[0]
+    for k in range(1, n):
+        for c in range(components):
+            out[k, c] = out[k - 1, c] + h[k, c]
+    integral = np.zeros(components)
+    for k in range(n - 1, -1, -1):
+        for c in range(components):
+            integral[c] += out[k, c]
+            out[k, c] = square * integral[c] + MU * h[k, c]
 
 
 @kernel
 def hessian_times(h: Array, theta: float, w: Array, q: Array, out: Array) -> None:
-    """Put B h in out[intervals, components]; w[n, intervals * components], q[n, n]."""
+    """Put B h in out[intervals, components]; w[2 n, intervals * components], q[2 n, 2 n]."""
     smoothed(h, out)
     flat, flat_out = h.reshape(h.size), out.reshape(h.size)
     for i in range(h.size):
@@ -59,26 +59,33 @@ def hessian_times(h: Array, theta: float, w: Array, q: Array, out: Array) -> Non
     products = np.empty(w.shape[0])
     for j in range(w.shape[0]):
         products[j] = _dot(w[j], flat)
-    for j in range(w.shape[0]):
-        _add_multiple(_dot(q[j], products), w[j], flat_out)
+    for j in range(0, w.shape[0], 2):
+        _add_multiples(_dot(q[j], products), w[j], _dot(q[j + 1], products), w[j + 1], flat_out)
 
 
 @kernel
 def advance(
-    trial: Array, x: Array, slope: Array, theta: float, w: Array, q: Array
+    trial: Array, x: Array, slope: Array, theta: float, w: Array, q: Array, short: bool
 ) -> tuple[float, float]:
     """Move x towards trial, at most all the way, to where the quadratic function is least.
 
-    slope is its gradient at x, and is kept up to date. Returns |trial - x|^2, and the same in the
-    norm of B.
+    slope is its gradient at x, and is kept up to date. Leaves a step against the slope from there,
+    to be projected, in trial: the long or the short one of Barzilai and Borwein. Returns
+    |trial - x|^2 and the same in the norm of B, as they were.
     """
     step = trial - x
     product = np.empty_like(step)
     hessian_times(step, theta, w, q, product)
-    flat, flat_product = step.reshape(x.size), product.reshape(x.size)
-    descent = _dot(slope.reshape(x.size), flat)
-    curvature = _dot(flat, flat_product)
-    fraction = 1.0 if -descent >= curvature else max(-descent, 0.0) / curvature
-    _add_multiple(fraction, flat, x.reshape(x.size))
-    _add_multiple(fraction, flat_product, slope.reshape(x.size))
-    return _dot(flat, flat), curvature
+    size = x.size
+    flat, along, s = step.reshape(size), product.reshape(size), slope.reshape(size)
+    squared, curvature = _dot(flat, flat), _dot(flat, along)
+    descent = _dot(s, flat)
+    if curvature > 0.0:
+        fraction = min(max(-descent / curvature, 0.0), 1.0)
+        length = curvature / _dot(along, along) if short else squared / curvature
+        flat_x, flat_trial = x.reshape(size), trial.reshape(size)
+        for i in range(size):
+            flat_x[i] += fraction * flat[i]
+            s[i] += fraction * along[i]
+            flat_trial[i] = flat_x[i] - length * s[i]
+    return squared, curvature

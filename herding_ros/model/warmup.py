@@ -46,7 +46,7 @@ def warm_up(crowd: Crowd | None = None) -> float:
     h, w, q = np.ones((1, 2)), np.zeros((2, 2)), np.zeros((2, 2))
     smoothed(h, h.copy())
     hessian_times(h, 1.0, w, q, h.copy())
-    advance(h.copy(), h.copy(), h.copy(), 1.0, w, q)
+    advance(h.copy(), h.copy(), h.copy(), 1.0, w, q, True)
     tracking_cost(trajectory.xs, np.zeros((2, 2)), 2, 1.0, 1.0, 1.0, source)
     constants, d = physics(crowd, 2, 0.01), trajectory.ds
     nodes = np.ones(kernels.PATHS // 2, dtype=np.int_)

@@ -72,7 +72,7 @@ def l2(difference: Array, dt: float) -> float:
 
 
 @pytest.mark.parametrize('method', ['output', 'aggressive'])
-@pytest.mark.parametrize('optimiser', ['spg', 'ncg'])
+@pytest.mark.parametrize('optimiser', ['pqn', 'spg', 'ncg'])
 def test_without_noise_the_coarse_plan_is_kept(method: str, optimiser: str) -> None:
     control = dataclasses.replace(
         SMALL, mapping=Mapping(method=method, paths=7), optimiser=Optimiser(method=optimiser)

@@ -78,7 +78,6 @@ class CostToGo:
         by_place -= by_idle.sum(axis=0)
         if errands.goal is None:
             by_x[errands.together] += by_place / errands.together.sum()
-        derivatives = Derivatives(np.zeros_like(trajectory.xs), np.zeros_like(trajectory.ds))
-        assert derivatives.x is not None and derivatives.d is not None
-        derivatives.x[-1, :, :n], derivatives.d[-1, :2] = by_x.T, by_d.T
-        return value, derivatives
+        xs, ds = np.zeros_like(trajectory.xs), np.zeros_like(trajectory.ds)
+        xs[-1, :, :n], ds[-1, :2] = by_x.T, by_d.T
+        return value, Derivatives(x=xs, d=ds)

@@ -18,7 +18,8 @@ class Holonomic(Parameters):
 
     def project(self, u: Array, max_speed: float) -> Array:
         """Shorten commands u (..., 2) that are faster than max_speed [m/s]."""
-        from .holonomic_kernels import shorten  # a program's help needs no Numba
+        # A program's help needs no Numba; a relative import takes longer than the work.
+        from herding_ros.model.motion.holonomic_kernels import shorten
 
         out = np.array(u, dtype=np.float64, order='C')
         shorten(out.reshape(-1, 2), max_speed, _ROUND_OFF)
