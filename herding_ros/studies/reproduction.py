@@ -12,6 +12,7 @@ from herding_ros.report import markdown
 from . import (
     baselines,
     common_noise,
+    controller,
     dogs,
     evacuation,
     mean_field,
@@ -34,6 +35,7 @@ OF_THE_PAPER: dict[str, Study] = {
 """Studies that are sections of the page about the paper."""
 
 FURTHER: dict[str, Study] = {
+    'controller': controller,
     'observation': observation,
     'evacuation': evacuation,
     'common_noise': common_noise,
@@ -63,7 +65,9 @@ def page(sections: Mapping[str, Section]) -> str:
 
 def single(name: str, section: Section) -> str:
     """Return the page about one study."""
-    parts = [f'# {STUDIES[name].TITLE}', _overview((name, row) for row in section.rows)]
+    parts = [f'# {STUDIES[name].TITLE}']
+    if section.rows:
+        parts.append(_overview((name, row) for row in section.rows))
     if section.goals:
         parts.append(markdown.goals(section.goals))
     return '\n\n'.join([*parts, _fill(name, section.values)]) + '\n'

@@ -6,13 +6,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from . import direct, herding, mean_field, sampling, strangers, symmetry, variant, window
+from . import (
+    decisions,
+    direct,
+    herding,
+    mean_field,
+    sampling,
+    strangers,
+    symmetry,
+    variant,
+    window,
+)
 from .case import Case
 
 EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
+    'candidates': decisions.candidates,
     'common_noise': Case.experiment(window.common_noise),
     'direct': Case.experiment(direct.run),
     'herding': herding.run,
+    'looks': decisions.looks,
     'mean_field_convergence': mean_field.convergence,
     'mean_field_mapping': Case.experiment(window.large_flock),
     'mean_field_replan': mean_field.replan,
