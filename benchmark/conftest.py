@@ -58,7 +58,7 @@ def pytest_benchmark_update_machine_info(config: pytest.Config, machine_info: di
 
 def pytest_report_teststatus(report: pytest.TestReport) -> tuple[str, str, str] | None:
     """Print the figure of a benchmark where pytest would print PASSED."""
-    figure = dict(report.user_properties).get('figure')
+    figure = dict(getattr(report, 'user_properties', ())).get('figure')
     if report.when != 'call' or not report.passed or figure is None:
         return None
     return 'passed', '.', f'{figure}'

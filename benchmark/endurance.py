@@ -50,7 +50,7 @@ class Endured:
 
     wall: (T,) wall time of each sample [s]; simulated: (T,) [s]; memory: resident memory by node,
     (T,) each [MB]; lost: messages that were published and are not in the bag, by topic;
-    margins: (plans,) time by which each plan was ready before its window [s], negative when it
+    margins: (windows,) time by which each plan was ready before its window [s], negative when it
     was late; jitter: deviation of the time between two commands of a dog from the control period.
     """
 
@@ -159,14 +159,14 @@ def _lost(out: Path, children: list[Child]) -> tuple[dict[str, int], int]:
 
 
 def _deadlines(bag: Path) -> list[float]:
-    """Return the time from the completion of each plan to its window [s]."""
+    """Return the time from the completion of each window's plan to its start [s]."""
     margins = []
     with AnyReader([bag]) as reader:
         of_diagnostics = [c for c in reader.connections if c.topic == '/diagnostics']
         for connection, _, data in reader.messages(of_diagnostics):
             message: Any = reader.deserialize(data, connection.msgtype)
             values = {pair.key: pair.value for pair in message.status[0].values}
-            if message.status[0].name == 'controller: plan':
+            if message.status[0].name == 'controller: plan' and values['kind'] == 'window':
                 margins.append(float(values['deadline_margin_s']))
     return margins
 

@@ -60,6 +60,8 @@ def section(results: Results) -> str:
         ensemble_difference=largest_difference('ensemble'),
         ensemble=tables.ensemble(results),
         optimiser=tables.optimiser(results),
+        whole_solves=tables.whole_solves(results),
+        feedback=tables.feedback(results),
         replan=tables.replan(results),
         herd=tables.herd(results),
         jitter=tables.jitter(results),

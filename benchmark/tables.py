@@ -91,14 +91,49 @@ def optimiser(results: Results) -> str:
     """Return time and evaluations until the same objective is reached."""
     return table(
         {
+            'start': entry['start'],
             'seed': entry['seed'],
-            'SPG [ms]': median(entry['seconds'], 1e-3),
-            'evaluations of SPG': entry['calls'],
+            'PQN [ms]': median(entry['seconds'], 1e-3),
+            'evaluations of PQN': entry['calls'],
             'L-BFGS-B [ms]': median(entry['peer_seconds'], 1e-3),
             'evaluations of L-BFGS-B': entry['peer_calls'],
             'SciPy / ours': Quartiles.of(entry['ratios']),
         }
         for entry in results.of('optimiser')
+    )
+
+
+def whole_solves(results: Results) -> str:
+    """Return the time of whole solves, and how far from the target they end."""
+
+    def excess(share: float) -> str:
+        return f'{share:+.1e}'
+
+    return table(
+        {
+            'peer': entry['peer'],
+            'seed': entry['seed'],
+            'ours [ms]': median(entry['seconds'], 1e-3),
+            'above the target': excess(entry['excess']),
+            'peer [ms]': median(entry['peer_seconds'], 1e-3),
+            'peer above the target': excess(entry['peer_excess']),
+            'peer / ours': f'{"" if entry["reached"] else "> "}{Quartiles.of(entry["ratios"])}',
+        }
+        for entry in results.of('whole solve')
+    )
+
+
+def feedback(results: Results) -> str:
+    """Return what a feedback takes."""
+    return table(
+        {
+            'seed': entry['seed'],
+            'value with gradient [ms]': median(entry['seconds'], 1e-3),
+            'feedback [ms]': median(entry['peer_seconds'], 1e-3),
+            'evaluations': entry['calls'],
+            'values with gradient': Quartiles.of(entry['ratios']),
+        }
+        for entry in results.of('feedback')
     )
 
 

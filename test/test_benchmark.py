@@ -10,6 +10,7 @@ from benchmark import report
 from benchmark.memory import resident
 from benchmark.peers import numpy_ensemble, scipy_lbfgsb
 from benchmark.problem import Problem
+from benchmark.race import Race
 from benchmark.results import Results
 import numpy as np
 import pytest
@@ -44,6 +45,33 @@ def test_scipy_finds_the_nearest_velocity_within_the_disc() -> None:
 
     found = scipy_lbfgsb.minimise(distance, np.zeros_like(wanted), max_speed=1.0, interval=0.5)
     np.testing.assert_allclose(found, [[[0.6, 0.8], [0.1, -0.2]]], rtol=0, atol=1e-3)
+
+
+def test_scipy_begins_from_the_start() -> None:
+    """But for velocities at the limit, where its map has no derivative."""
+    start = np.array([[[0.3, -0.4], [0.0, 0.0], [0.6, 0.8]]])
+    seen = []
+
+    def flat(u: np.ndarray) -> tuple[float, np.ndarray]:
+        seen.append(u)
+        return 0.0, np.zeros_like(u)
+
+    scipy_lbfgsb.minimise(flat, start, max_speed=1.0, interval=0.5)
+    np.testing.assert_allclose(seen[0], start, rtol=0.01, atol=1e-15)
+    np.testing.assert_allclose(seen[0][0, :2], start[0, :2], rtol=1e-14)
+
+
+@pytest.mark.parametrize('peer', ['casadi_ipopt', 'crocoddyl_ddp', 'mppi'])
+def test_peers_lower_the_same_objective(peer: str) -> None:
+    library, _, _ = peer.partition('_')
+    if library != peer:
+        pytest.importorskip(library)
+    module = pytest.importorskip(f'benchmark.peers.{peer}')
+    race = Race(1, horizon=3.0)
+    at_rest = race.value(race.start)
+    assert race.value(race.planned()) <= race.target < at_rest
+    found = module.solver(race)(20.0)
+    assert found < at_rest - 0.7 * (at_rest - race.target)
 
 
 def entry(what: str, **facts: Any) -> dict[str, Any]:

@@ -44,9 +44,9 @@ def rows(
     for name, value, field in defaults.walk(prefix):
         default = written(value)
         different = [
-            f'`{key}`: {written(values[name])}'
+            f'`{key}`: {written(values[name]) if name in values else "none"}'
             for key, values in there.items()
-            if values[name] != value
+            if values.get(name) != value
         ]
         if different:
             default += f' ({", ".join(different)})'
@@ -58,6 +58,11 @@ def crowd_rows() -> Iterator[Row]:
     meaning = 'where the defaults of crowd.* come from'
     yield 'crowd.preset', written('cohesive'), '', ' or '.join(CROWDS), meaning
     yield from rows(CROWDS['cohesive'], 'crowd.', CROWDS)
+    known = Crowd().flat('crowd.')
+    for preset, crowd in CROWDS.items():
+        for name, default, *rest in rows(crowd, 'crowd.'):
+            if name not in known:
+                yield name, f'(`{preset}`: {default})', *rest
 
 
 def control_rows() -> Iterator[Row]:

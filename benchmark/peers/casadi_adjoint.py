@@ -14,6 +14,7 @@ from typing import Any
 
 from benchmark.problem import Problem
 import casadi as ca
+from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.model.state import Array
 import numpy as np
 
@@ -47,6 +48,36 @@ def _force_of_dogs(
     return ca.sum2(a * dx), ca.sum2(a * dy)
 
 
+def time_step(coarse: CoarseModel, n: int, m: int) -> Any:
+    """Return the function of a state (4 n + 2 m,) and a control (2 m,) to the next state.
+
+    x, v, d and u lie in a column each: first all x coordinates, then all y.
+    """
+    dt = coarse.dt
+    x, v, d, u = (
+        ca.MX.sym(name, size, 2) for name, size in zip('xvdu', (n, n, m, m), strict=True)
+    )
+    flock = _force_of_flock(x[:, 0], x[:, 1], coarse.crowd.sheep.coefficients)
+    dogs = _force_of_dogs(x[:, 0], x[:, 1], d, coarse.crowd.dog.coefficients)
+    force = ca.horzcat(flock[0] + dogs[0], flock[1] + dogs[1])
+    following = x + dt * v, v - dt * (force + coarse.crowd.friction * v), d + dt * u
+    return ca.Function('step', [ca.veccat(x, v, d), ca.vec(u)], [ca.veccat(*following)])
+
+
+def running_cost(
+    coarse: CoarseModel, n: int, m: int, centre_weight: float, spread_weight: float,
+    leash_weight: float = 0.0,
+) -> Any:  # fmt: skip
+    """Return the function of a state and the reference (2,) to what a step costs."""
+    x, v, d = (ca.MX.sym(name, size, 2) for name, size in zip('xvd', (n, n, m), strict=True))
+    wanted = ca.MX.sym('wanted', 2)
+    centre = ca.sum1(x) / n
+    cost = centre_weight * ca.sumsqr(centre.T - wanted)
+    cost += spread_weight / n * ca.sumsqr(x - ca.repmat(centre, n, 1))
+    cost += leash_weight * ca.sumsqr(d - ca.repmat(wanted.T, m, 1))
+    return ca.Function('cost', [ca.veccat(x, v, d), wanted], [0.5 * coarse.dt * cost])
+
+
 def value_and_gradient(
     problem: Problem, compiler_flags: tuple[str, ...] = (), scalars: bool = False
 ) -> Callable[[], tuple[float, Array]]:
@@ -55,23 +86,12 @@ def value_and_gradient(
     With compiler_flags, C is written into the working directory and compiled by `gcc`.
     """
     coarse, tracking, gamma = problem.coarse, problem.tracking, problem.control_weight
-    n, m, dt = problem.sheep, problem.dogs, coarse.dt
-    x, v, d, u = (
-        ca.MX.sym(name, size, 2) for name, size in zip('xvdu', (n, n, m, m), strict=True)
-    )
-    flock = _force_of_flock(x[:, 0], x[:, 1], coarse.crowd.sheep.coefficients)
-    dogs = _force_of_dogs(x[:, 0], x[:, 1], d, coarse.crowd.dog.coefficients)
-    force = ca.horzcat(flock[0] + dogs[0], flock[1] + dogs[1])
-    following = x + dt * v, v - dt * (force + coarse.crowd.friction * v), d + dt * u
-    step = ca.Function('step', [ca.veccat(x, v, d), ca.vec(u)], [ca.veccat(*following)])
+    n, m = problem.sheep, problem.dogs
+    step = time_step(coarse, n, m)
     if scalars:
         step = step.expand()
-
-    wanted = ca.MX.sym('wanted', 2)
-    centre = ca.sum1(x) / n
-    cost = tracking.centre_weight * ca.sumsqr(centre.T - wanted)
-    cost += tracking.spread_weight / n * ca.sumsqr(x - ca.repmat(centre, n, 1))
-    cost_of_step = ca.Function('cost', [ca.vec(x), wanted], [0.5 * dt * cost])
+    weights = tracking.centre_weight, tracking.spread_weight
+    cost_of_step = running_cost(coarse, n, m, *weights)
 
     steps = problem.steps
     control = ca.MX.sym('control', 2 * m, len(problem.u))
@@ -79,7 +99,7 @@ def value_and_gradient(
     start = np.concatenate([a.T.ravel() for a in (coarse.state.x, coarse.state.v, coarse.state.d)])
     states = step.mapaccum(steps)(start, of_steps)
     effort = ca.sumsqr(control)
-    value = ca.sum2(cost_of_step.map(steps)(states[: 2 * n, :], tracking.reference[1:].T))
+    value = ca.sum2(cost_of_step.map(steps)(states, tracking.reference[1:].T))
     value += 0.5 * coarse.interval * gamma * effort
     options: dict[str, Any] = {}
     if compiler_flags:

@@ -382,6 +382,7 @@ def _seconds(samples: Sequence[Sample], start: int) -> Array:
 
 def _replan(time: float, plan: _Plan) -> Replan:
     """Return what the controller said of a replan; a number's name is that of its field."""
-    names = {field.name for field in fields(Replan)} - {'time', 'number', 'status'}
+    names = {field.name for field in fields(Replan)} - {'time', 'number', 'status', 'kind'}
     numbers = {name: _number(plan.values, name) for name in names}
-    return Replan(time, plan.number, plan.values.get('status', ''), **numbers)
+    kind = plan.values.get('kind', 'window')
+    return Replan(time, plan.number, plan.values.get('status', ''), **numbers, kind=kind)

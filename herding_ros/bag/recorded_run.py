@@ -28,7 +28,8 @@ class Replan:
 
     time: when [s] from the first state; number: the running number; solve_ms: [ms];
     mapping_error_before, mapping_error_after: distance of the expected centre's path from the
-    planned one; deadline_margin_s: [s], negative when the plan came late.
+    planned one; deadline_margin_s: [s], negative when the plan came late; kind: 'window', or
+    'feedback' in between.
     """
 
     time: float
@@ -43,6 +44,7 @@ class Replan:
     mapping_error_before: float
     mapping_error_after: float
     deadline_margin_s: float
+    kind: str = 'window'
 
 
 @dataclass(frozen=True)

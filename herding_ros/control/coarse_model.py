@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import os
 
 from herding_ros.model import kernels
@@ -37,6 +37,10 @@ class CoarseModel:
     def interval(self) -> float:
         """Time for which a control is held [s]."""
         return self.dt * self.substeps
+
+    def on_grid(self, substeps: int) -> CoarseModel:
+        """Return the same model with another number of steps in an interval."""
+        return replace(self, dt=self.interval / substeps, substeps=substeps)
 
     def rollout(self, u: Array) -> Trajectory:
         """Return the trajectory under the control u (intervals, M, 2) [m/s]."""

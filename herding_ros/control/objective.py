@@ -10,6 +10,7 @@ from herding_ros.model.state import Array, Trajectory
 
 from .costs.containment import Containment
 from .costs.cost import Cost, Derivatives
+from .costs.distance import Distance
 from .costs.leash import Leash
 from .costs.terminal import Terminal
 from .costs.tracking import Tracking
@@ -31,17 +32,25 @@ class Objective:
         return total, by
 
 
-def weighted_costs(weights: Weights, reference: Array) -> list[Cost]:
+def weighted_costs(weights: Weights, reference: Array, rounding: float) -> list[Cost]:
     """Return the costs of sheep and dogs that the weights ask for, control effort apart.
 
-    reference: (K+1, 2) [m]. A cost without weight is left out.
+    reference: (K+1, 2) [m]; rounding: of distances [m], see `Distance`. A cost without weight is
+    left out.
     """
-    tracking = Tracking(weights.centre, weights.spread, reference)
-    costs: list[Cost] = [tracking]
+    costs = _running_costs(weights, reference, rounding)
     if weights.terminal:
-        costs.append(Terminal(weights.terminal, tracking))
+        last = _running_costs(weights, reference[-2:], rounding)
+        costs.append(Terminal(weights.terminal, last))
     if weights.containment:
         costs.append(Containment(weights.containment, weights.radius, reference))
     if weights.dogs:
         costs.append(Leash(weights.dogs, reference))
+    return costs
+
+
+def _running_costs(weights: Weights, reference: Array, rounding: float) -> list[Cost]:
+    costs: list[Cost] = [Tracking(weights.centre, weights.spread, reference)]
+    if weights.distance:
+        costs.append(Distance(weights.distance, rounding, reference))
     return costs

@@ -11,10 +11,13 @@ from herding_ros.model.parameters import Parameters, quantity, TINY
 
 @dataclass(frozen=True)
 class Weights(Parameters):
-    """What the cost weighs; the paper's are 1, 1, 1e-2 and 0."""
+    """What the cost weighs; the paper's are centre 1, spread 1, control 1e-2, and 0."""
 
+    distance: float = quantity(
+        1.0, "weight of the centre's distance from its reference", 'm', low=0.0, live=True
+    )
     centre: float = quantity(
-        3.0, "weight of the centre's distance from its reference", low=0.0, live=True
+        0.0, "weight of half that distance's square, as in the paper", low=0.0, live=True
     )
     spread: float = quantity(
         3.0, "weight of the sheep's distance from their centre", low=0.0, live=True
@@ -26,8 +29,14 @@ class Weights(Parameters):
         low=0.0,
         live=True,
     )
+    beyond: float = quantity(
+        1.0,
+        'weight of what lies beyond the window: the time that dogs need to get behind strays',
+        low=0.0,
+        live=True,
+    )
     terminal: float = quantity(
-        0.0,
+        10.0,
         'weight of centre and spread at the end of the window: it counts as if it went on for '
         'so long',
         's',
@@ -50,15 +59,9 @@ class Reference(Parameters):
 
     kind: str = quantity(
         'attainable',
-        'speed at which the reference moves to the destination: one that sheep can keep, '
-        'or (interpolated, as in the paper) what reaches it within one horizon',
+        'speed at which the reference moves to the destination: the one at which the dogs can '
+        'drive the flock, or (interpolated, as in the paper) what reaches it within one horizon',
         choices=('attainable', 'interpolated'),
-    )
-    speed: float = quantity(
-        0.025,
-        'speed of the attainable reference with three dogs or more; fewer drive in proportion',
-        'm/s',
-        low=TINY,
     )
 
 
@@ -155,19 +158,23 @@ class Optimiser(Parameters):
     """How the deterministic problems are solved."""
 
     method: str = quantity(
-        'spg',
-        "spectral projected gradient, or the paper's projected nonlinear conjugate gradient",
-        choices=('spg', 'ncg'),
+        'pqn',
+        'projected quasi-Newton, spectral projected gradient, or (the paper) projected nonlinear '
+        'conjugate gradient',
+        choices=('pqn', 'spg', 'ncg'),
     )
     tolerance: float = quantity(
-        1e-2,
-        'length of the last step (ncg) or of the projected gradient (spg)',
-        'm/s^0.5',
+        5e-5,
+        'pqn: decrease that the next step promises, relative to the objective; spg: length of the '
+        'projected gradient [m/s^0.5]; ncg: length of the last step [m/s^0.5]',
         low=0.0,
     )
     max_iterations: int = quantity(60, 'most iterations of one solve', low=1, high=10_000)
     feedback_iterations: int = quantity(
         8, 'most iterations of an improvement between two windows', low=1, high=10_000
+    )
+    rules: bool = quantity(
+        True, 'start from what a rule of herding does, if that costs less than the last plan'
     )
 
 
@@ -205,6 +212,11 @@ class Mapping(Parameters):
         "output: root mean square of the expected centre's error that is small enough [m]; "
         'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is; 0 takes all iterations',
         low=0.0,
+    )
+    feedback: bool = quantity(
+        False,
+        'correct plans between two windows as well, by the error of the expected centre that was '
+        'found last; one evaluation of the fine model in each feedback brings it up to date',
     )
 
 
@@ -258,10 +270,10 @@ class Control(Parameters):
 
 
 PAPER = Control(
-    weights=Weights(centre=1.0, spread=1.0, dogs=0.0),
+    weights=Weights(distance=0.0, centre=1.0, spread=1.0, dogs=0.0, beyond=0.0, terminal=0.0),
     reference=Reference(kind='interpolated'),
     horizon=Horizon(feedback=10.0),
-    optimiser=Optimiser(tolerance=5e-3),
+    optimiser=Optimiser('spg', tolerance=5e-3, rules=False),
     mapping=Mapping('aggressive', 'plain', standard_error=0.0, tolerance=0.3),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""

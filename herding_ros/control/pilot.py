@@ -125,7 +125,8 @@ class Pilot:
     def __init__(self, planner: Planner, dogs: int) -> None:
         """Plan by `planner`, not to be used elsewhere, for so many dogs."""
         self.dogs = dogs
-        self.plans_made = self.deadlines_missed = self.plans_failed = 0
+        self.plans_made = self.feedbacks_made = 0
+        self.deadlines_missed = self.plans_failed = 0
         self.estimate: Observed | None = None
         """The most likely state at the last observation."""
         self._planner = planner
@@ -228,12 +229,13 @@ class Pilot:
             age > horizon.feedback - SLACK
             or plan.request.goal != self._goal
             or is_surprising(
-                self._crowd, self._control.sensor, plan.window, age, estimate.state, estimate.t
+                self._crowd, self._control, plan.window, age, estimate.state, estimate.t
             )
         )
 
     def _announce(self, plan: ScheduledPlan, margin: float) -> Announcement:
         self.plans_made += 1
+        self.feedbacks_made += plan.window.report.kind == 'feedback'
         return Announcement(plan, self.plans_made - 1, margin)
 
     def _record_failure(self, error: Exception) -> None:

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The receding horizon: window after window, and feedback in between.
 
-A window is planned from a measured state, and corrected for the noise by the space mapping. Its
-defect, by which the expected centre is off the coarse model's, is kept: a feedback improves the
-plan from a newer state by a few iterations of the coarse solve, in which the flock is expected
-where the coarse model has it plus that defect.
+A window is planned from a measured state, and corrected for the noise by the space mapping. A
+feedback improves the plan from a newer state by a few iterations of the coarse solve. Where
+`mapping.feedback` asks for it, the defect, by which the expected centre is off the coarse model's,
+is kept: in a feedback the flock is expected where the coarse model has it plus that defect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+import itertools
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
@@ -24,12 +25,13 @@ import numpy as np
 from .coarse_model import CoarseModel
 from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
+from .hessian import Hessian
 from .ncg import ncg
-from .objective import Objective, weighted_costs
+from .objective import Objective
 from .parameter_extraction import ParameterExtraction
 from .parameters import Control
 from .plan import Plan
-from .reference import reference
+from .pqn import pqn
 from .solution import Budget, never, NoTimeFor, Problem, Solution, Status
 from .solve_report import SolveReport, Stopwatch
 from .space_mapping import (
@@ -42,10 +44,13 @@ from .space_mapping import (
     output_mapping,
 )
 from .spg import spg
+from .task import RULES, Task
 from .window import Window
 
-OPTIMISERS = {'spg': spg, 'ncg': ncg}
+OPTIMISERS = {'pqn': pqn, 'spg': spg, 'ncg': ncg}
 
+_NO_INFLUENCE = 1e-3
+"""Sheep that dogs move by less than this part of the standoff are not influenced."""
 
 _SLACK = 1e-6
 """Seconds since 1970 in double precision are exact to 2.4e-7 s."""
@@ -53,18 +58,14 @@ _SLACK = 1e-6
 
 @dataclass(frozen=True)
 class _Planned:
-    """A plan with its defect (intervals + 1, 2) [m]: expected minus coarse centre."""
+    """A plan with its defect (intervals + 1, 2) [m]: expected minus coarse centre.
+
+    From a state that is known it grows with time. So the best guess of that of a plan from a
+    newer state is the same, not shifted in time.
+    """
 
     plan: Plan
     defect: Array
-
-    def defect_from(self, t: float) -> Array:
-        """Return the defect (intervals + 1, 2) [m] of a plan of equal length from t [s] on.
-
-        From a state that is known at t it grows as it did from the one that was known at the
-        start.
-        """
-        return self.defect
 
 
 @dataclass
@@ -82,6 +83,7 @@ class RecedingHorizon:
     seed: int = 0
     costs: Sequence[Cost] = ()
     _planned: list[_Planned] = field(default_factory=list, init=False)  # by their starts
+    _turns: Iterator[str] = field(default_factory=lambda: itertools.cycle(RULES), init=False)
     _noise: Noise | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
 
@@ -100,7 +102,7 @@ class RecedingHorizon:
 
     def restart(self) -> None:
         """Forget all plans: the next solve starts from standing dogs."""
-        self._planned = []
+        self._planned, self._turns = [], itertools.cycle(RULES)
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         """Plan with these from the next solve on."""
@@ -170,28 +172,35 @@ class RecedingHorizon:
         """Improve the plan that is played at t [s] in the given state, by few iterations.
 
         The plan that is returned starts at t and is as long as a window. It is predicted on the
-        control's own time grid. no_time_for is called with 'coarse', see `solve`.
+        control's own time grid. no_time_for is called with 'coarse' or 'fine', see `solve`.
         """
         clock = Stopwatch()
         optimiser, horizon = self.control.optimiser, self.control.horizon
+        corrects = self.control.mapping.feedback
         coarse = self.coarse_model(state)
-        coarse = replace(coarse, dt=coarse.interval, substeps=1)
+        coarse = coarse.on_grid(1)
         budget = Budget(
             optimiser.feedback_iterations, optimiser.tolerance, partial(no_time_for, 'coarse')
         )
         last = self._playing(t)
         defect: Array = np.zeros((horizon.intervals + 1, 2))
-        if last is not None and last.defect.shape == defect.shape:
-            defect = last.defect_from(t)
+        if corrects and last is not None and last.defect.shape == defect.shape:
+            defect = last.defect
+        rule = next(self._turns)  # all of them would take too long
         with clock.phase('coarse'):
-            solution, _ = self._solve_coarse(coarse, t, budget, defect)
+            solution, _ = self._solve_coarse(coarse, t, budget, defect, [rule])
             predicted = coarse.rollout(solution.u)
+        expected: list[Expectation] = []
+        if corrects and not no_time_for(FINE):
+            with clock.phase('fine'):
+                expected.append(self._expectation(state, t)(solution.u))
+            defect = expected[0].centre[:: horizon.substeps] - centre(predicted.x)
         expected_centre = centre(predicted.x) + defect
         plan = Plan(t, horizon.control_period, solution.u)
         waiting = [each for each in self._planned if each.plan.t0 > t + _SLACK]
         self._planned = _in_order([_Planned(plan, defect), *waiting])
         mapping = MappingResult(solution.u, expected_centre, Status.CONVERGED)
-        report = SolveReport.of('feedback', solution, mapping, [], 0, clock.seconds())
+        report = SolveReport.of('feedback', solution, mapping, expected, 0, clock.seconds())
         return Window(
             plan, report, horizon.control_period, expected_centre, spread(predicted.x), predicted.d
         )
@@ -202,43 +211,79 @@ class RecedingHorizon:
         return begun[-1] if begun else None
 
     def _solve_coarse(
-        self, coarse: CoarseModel, t: float, budget: Budget, defect: Array | float = 0.0
+        self,
+        coarse: CoarseModel,
+        t: float,
+        budget: Budget,
+        defect: Array | float = 0.0,
+        rules: Sequence[str] = tuple(RULES),
     ) -> tuple[Solution, list[Cost]]:
-        """Minimise the cost of the window without noise, from the plan that is played on.
+        """Minimise the cost of the window without noise, from the best plan at hand.
 
-        The flock is expected where the coarse model has it plus the defect, on the finest time
-        grid. Most of the work is done on the control's own, where a step is cheaper. Also return
-        the costs on the finest one, control effort apart.
+        These are the plan that is played on and what the given rules would do. The plan that is
+        found costs no more than any of them. The flock is
+        expected where the coarse model has it plus the defect, on the finest time grid. Most of
+        the work is done on the control's own, where a step is cheaper. Also return the costs on
+        the finest one, control effort apart.
         """
         horizon, optimiser = self.control.horizon, self.control.optimiser
-        gamma = self.control.weights.control
-        u: Array = np.zeros((horizon.intervals, len(coarse.state.d), 2))
-        last = self._playing(t)
-        if last is not None and last.plan.u.shape == u.shape:
-            u = last.plan.shifted(t).u
+        control_effort = ControlEffort(self.control.weights.control)
+        task = Task.of(self.control, coarse, self.goal)
+        candidates = {'last plan': self._played_on(t, len(coarse.state.d))}
+        if not budget.out_of_time():
+            candidates |= task.rule_plans(coarse.on_grid(1), rules)
         solutions: list[Solution] = []
         costs: list[Cost] = []
         limit = budget.max_iterations
+        hessian = Hessian()  # the curvature hardly depends on the time grid
         for substeps in sorted({1, coarse.substeps}):
-            model = replace(coarse, dt=coarse.interval / substeps, substeps=substeps)
-            steps = horizon.intervals * substeps
-            times = model.dt * np.arange(steps + 1, dtype=np.float64)
-            route = reference(self.control.reference, coarse.state, self.goal, times) - defect
-            costs = [*weighted_costs(self.control.weights, route), *self.costs]
-            objective = Objective([*costs, ControlEffort(gamma)])
+            model = coarse.on_grid(substeps)
+            times = model.dt * np.arange(horizon.intervals * substeps + 1, dtype=np.float64)
+            costs = [*task.costs(times, defect), *self.costs]
+            objective = Objective([*costs, control_effort])
+            name, u = min(
+                candidates.items(), key=lambda each: self._value(model, objective, each[1])
+            )
             problem = Problem(
-                partial(model.value_and_gradient, objective), self._admissible, model.inner
+                partial(model.value_and_gradient, objective),
+                self._admissible,
+                model.inner,
+                self.control.max_speed,
+                hessian,
             )
             minimise = OPTIMISERS[optimiser.method]
             solutions.append(minimise(problem, u, replace(budget, max_iterations=limit)))
-            u = solutions[-1].u
+            candidates[name] = solutions[-1].u
             limit = -(-limit // 3)
         solution = replace(
             solutions[-1],
             iterations=sum(each.iterations for each in solutions),
             calls=sum(each.calls for each in solutions),
         )
+        hurried = solution.status is Status.OUT_OF_TIME
+        if not hurried and self._is_without_influence(coarse, solution.u, task):
+            solution = replace(solution, status=Status.NO_INFLUENCE)
         return solution, costs
+
+    def _played_on(self, t: float, dogs: int) -> Array:
+        """Return the control (intervals, M, 2) of the plan that is played at t [s], continued."""
+        u: Array = np.zeros((self.control.horizon.intervals, dogs, 2))
+        last = self._playing(t)
+        return last.plan.shifted(t).u if last is not None and last.plan.u.shape == u.shape else u
+
+    def _value(self, model: CoarseModel, objective: Objective, u: Array) -> float:
+        u = self._admissible(u)
+        return objective.value_and_derivatives(model.rollout(u), u)[0]
+
+    def _is_without_influence(self, coarse: CoarseModel, u: Array, task: Task) -> bool:
+        """Whether sheep that are not home go as they would if the dogs stood."""
+        if task.reach is None:
+            return True
+        model = coarse.on_grid(1)
+        if float(np.linalg.norm(task.start - self.goal)) <= task.reach.standoff:
+            return False
+        moved = model.rollout(u).x[-1] - model.rollout(np.zeros_like(u)).x[-1]
+        return float(np.abs(moved).max()) < _NO_INFLUENCE * task.reach.standoff
 
     def _admissible(self, u: Array) -> Array:
         return self.control.motion.project(u, self.control.max_speed)

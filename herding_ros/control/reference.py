@@ -3,37 +3,47 @@
 
 from __future__ import annotations
 
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import centre
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
-from .parameters import Reference
-
-_ENCLOSING = 3
-"""Dogs that can stand around a flock; fewer have to run from side to side."""
+from .reach import Reach
+from .rules.collect_and_drive import drivers
 
 
-def pace(parameters: Reference, dogs: int) -> float:
-    """Return the speed [m/s] at which so many dogs can drive a flock and keep it together.
+def pace(crowd: Crowd, state: HerdState, goal: Array, max_speed: float) -> float:
+    """Return the speed [m/s] at which the dogs can drive the flock to a goal (2,) [m].
 
-    It grows with the dogs up to the three that can stand around a flock.
+    It is that at which friction balances their force on the centre while they stand side by side
+    behind the flock (ahead of it, if they attract), and at most max_speed, their own:
+
+        v = min(u_max, |e . 1/N sum_i sum_m -grad P_2(x_i - p_m)| / alpha)
+
+    with e the direction to the goal and p_m the posts of `drivers`.
     """
-    return parameters.speed * min(dogs / _ENCLOSING, 1.0)
+    reach, x, offset = Reach.of(crowd), state.x, goal - centre(state.x)
+    length = float(np.linalg.norm(offset))
+    if reach is None or not length:
+        return max_speed
+    target = goal if reach.repels else centre(x) - offset
+    away = x[:, None] - drivers(x, target, len(state.d), reach.standoff)
+    distance = np.maximum(np.linalg.norm(away, axis=-1), TINY)
+    push = -(crowd.dog.derivative(distance) / distance)[..., None] * away
+    force = abs(float(push.sum(axis=1).mean(axis=0) @ offset) / length)
+    return min(max_speed, force / max(crowd.friction, TINY))
 
 
-def reference(parameters: Reference, state: HerdState, goal: Array, times: Array) -> Array:
+def reference(kind: str, speed: float, start: Array, goal: Array, times: Array) -> Array:
     """Return where the centre is asked to be at the given times [s] of a window, (K+1, 2) [m].
 
-    'interpolated' (paper, remark on the receding horizon) moves from the centre to the goal at
-    constant speed within the window; 'attainable' moves at the `pace` of the dogs, and waits.
+    It moves from start to goal (2,) [m] and waits there: if 'attainable' at a speed [m/s], see
+    `pace`; if 'interpolated' (paper, remark on the receding horizon) within the window.
     """
-    start = centre(state.x)
     offset = goal - start
-    length = float(np.linalg.norm(offset))
-    if parameters.kind == 'interpolated':
+    if kind == 'interpolated':
         fraction = times / times[-1]
     else:
-        speed = pace(parameters, len(state.d))
-        fraction = np.minimum(speed * times / max(length, TINY), 1.0)
+        fraction = np.minimum(speed * times / max(float(np.linalg.norm(offset)), TINY), 1.0)
     return start + fraction[:, None] * offset

@@ -10,6 +10,8 @@ import math
 
 from herding_ros.model.state import Array
 
+from .hessian import Hessian
+
 ValueAndGradient = Callable[[Array], tuple[float, Array]]
 Projection = Callable[[Array], Array]
 InnerProduct = Callable[[Array, Array], float]
@@ -29,12 +31,16 @@ class Problem:
     """A smooth function to be minimised over a convex set.
 
     value_and_gradient: the function and its gradient, which refers to the inner product `inner`;
-    project: from a point to the nearest of the set.
+    project: from a point to the nearest of the set; scale: a typical component of u, such as the
+    speed limit, for the length of a first step; hessian: what is known from a similar problem, to
+    which an optimiser may add (None: nothing).
     """
 
     value_and_gradient: ValueAndGradient
     project: Projection
     inner: InnerProduct
+    scale: float = 1.0
+    hessian: Hessian | None = None
 
 
 @dataclass(frozen=True)
@@ -54,6 +60,7 @@ class Status(Enum):
     NO_DESCENT = 'no descent'
     STAGNATED = 'stagnated'
     OUT_OF_TIME = 'out of time'
+    NO_INFLUENCE = 'no influence'
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,11 @@ from collections import deque
 
 from herding_ros.model.state import Array
 
+from .line_search import line_search
 from .solution import Budget, criticality, Problem, Solution, Status
 
-_SUFFICIENT_DECREASE = 1e-4
 _MEMORY = 8
 _STEP_LIMITS = (1e-10, 1e10)
-_BACKTRACKS = 30
 
 
 def spg(problem: Problem, start: Array, budget: Budget) -> Solution:
@@ -46,34 +45,18 @@ def spg(problem: Problem, start: Array, budget: Budget) -> Solution:
             break
         direction = project(u - length * gradient) - u
         slope = inner(gradient, direction)
-        ceiling = max(recent)
-        fraction = 1.0
-        for _ in range(_BACKTRACKS):
-            trial = u + fraction * direction
-            trial_value, trial_gradient = value_and_gradient(trial)
-            calls += 1
-            if trial_value <= ceiling + _SUFFICIENT_DECREASE * fraction * slope:
-                break
-            if budget.out_of_time():
-                status = Status.OUT_OF_TIME
-                break
-            fraction = _interpolate(fraction, slope, value, trial_value)
-        else:
-            status = Status.NO_DESCENT
-        if status is not Status.ITERATION_LIMIT:
+        step = line_search(
+            value_and_gradient, u, value, direction, slope, max(recent), budget.out_of_time
+        )
+        calls += step.calls
+        if step.status is not None:
+            status = step.status
             break
-        moved, changed = trial - u, trial_gradient - gradient
+        moved, changed = step.u - u, step.gradient - gradient
         curvature = inner(moved, changed)
         length = inner(moved, moved) / curvature if curvature > 0.0 else _STEP_LIMITS[1]
         length = min(max(length, _STEP_LIMITS[0]), _STEP_LIMITS[1])
-        u, value, gradient = trial, trial_value, trial_gradient
+        u, value, gradient = step.u, step.value, step.gradient
         recent.append(value)
     value, u, distance = best
     return Solution(u, value, distance, status, iterations, calls)
-
-
-def _interpolate(fraction: float, slope: float, value: float, trial_value: float) -> float:
-    """Minimum of the parabola through both values and the slope, kept within [0.1, 0.5]."""
-    excess = trial_value - value - fraction * slope
-    step = -0.5 * fraction**2 * slope / excess if excess > 0.0 else 0.5 * fraction
-    return min(max(step, 0.1 * fraction), 0.5 * fraction)

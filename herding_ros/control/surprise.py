@@ -6,10 +6,19 @@ whose coordinates have the variance
 
     q(T) = sigma^2 / alpha^2 (T - 2 (1 - e^-aT) / alpha + (1 - e^-2aT) / (2 alpha)),    a = alpha,
 
-the integral of an Ornstein-Uhlenbeck velocity that starts at a known value. Forces between sheep
+<<<<<<< HEAD
+the integral of an Ornstein-Uhlenbeck velocity that starts at a known value; without inertia, in a
+crowd of first order, q(T) = sigma^2 / alpha^2 T. Forces between sheep
 do not move their centre, whose coordinates have the variance q (c + (1 - c) / N) for N sheep
 that have the share c of the noise in common. The spread, the root mean square of N distances from
 the centre, then varies by about q / N, and its mean square grows by 2 q (1 - c) (1 - 1 / N).
+=======
+the integral of an Ornstein-Uhlenbeck velocity that starts at a known value. In a crowd of first
+order it diffuses, q(T) = sigma^2 / alpha^2 T. Forces between sheep do not move their centre, whose
+coordinates have the variance q (c + (1 - c) / N) for N sheep that have the share c of the noise in
+common. The spread, the root mean square of N distances from the centre, then varies by about
+q / N, and its mean square grows by 2 q (1 - c) (1 - 1 / N).
+>>>>>>> crowds
 """
 
 from __future__ import annotations
@@ -22,43 +31,48 @@ from herding_ros.model.noise import strength
 from herding_ros.model.state import HerdState
 import numpy as np
 
-from .parameters import Sensor
+from .parameters import Control
 from .window import Window
 
 _DEVIATIONS = 4.0
 """Standard deviations that are chance: of 10,000 plans, noise surprises in 4."""
 
-_UNTOLD = 0.005
-"""Standard deviation [m] of what observations and predictions are off by besides.
+_UNTOLD = 0.1
+"""Standard deviation of what observations and predictions are off by besides, as a part of the way
+that a dog runs until the next feedback.
 
 Otherwise each error of a model would be a surprise where there is little noise.
 """
 
 
 def is_surprising(
-    crowd: Crowd, sensor: Sensor, window: Window, elapsed: float, state: HerdState, t: float
+    crowd: Crowd, control: Control, window: Window, elapsed: float, state: HerdState, t: float
 ) -> bool:
     """Return whether the flock at t [s] is not where a window predicts it.
 
     Its centre or its spread has to be off by more than the random force and the errors of two
     observations explain; the first of these is that of the window, elapsed [s] ago.
     """
-    n = len(state.x)
+    n, sensor = len(state.x), control.sensor
     sigma = math.sqrt(np.square(strength(crowd, t, state.x)).mean())
-    moved = sigma**2 * displacement_variance(crowd.friction, elapsed)
+    moved = sigma**2 * displacement_variance(crowd, elapsed)
     seen = 2.0 * sensor.position_noise**2 + (sensor.velocity_noise * elapsed) ** 2
+    untold = (_UNTOLD * control.max_speed * control.horizon.feedback) ** 2
     common = crowd.common_noise
     single = (1.0 - common) * moved + seen
     k = window.index(t)
     off = float(np.linalg.norm(centre(state.x) - window.centre[k]))
-    if off > _DEVIATIONS * math.sqrt(common * moved + single / n + _UNTOLD**2):
+    if off > _DEVIATIONS * math.sqrt(common * moved + single / n + untold):
         return True
     wider = math.sqrt(window.spread[k] ** 2 + 2.0 * single * (1.0 - 1.0 / n))
-    return abs(float(spread(state.x)) - wider) > _DEVIATIONS * math.sqrt(single / n + _UNTOLD**2)
+    return abs(float(spread(state.x)) - wider) > _DEVIATIONS * math.sqrt(single / n + untold)
 
 
-def displacement_variance(friction: float, elapsed: float) -> float:
-    """Return q / sigma^2 [s^3], see above: of a coordinate, after a time [s] of friction [1/s]."""
+def displacement_variance(crowd: Crowd, elapsed: float) -> float:
+    """Return q / sigma^2 [s^3], see above: of a coordinate of a sheep, after a time [s]."""
+    friction = crowd.friction
+    if crowd.order == 1:
+        return elapsed / friction**2
     a = friction * elapsed
     if a < 1e-2:  # where the terms cancel: its series
         return elapsed**3 / 3.0 * (1.0 - 0.75 * a)

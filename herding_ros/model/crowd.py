@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from .external_form import ExternalForce, NoForce
 from .noise_field import NoiseField, NoiseFunction
 from .parameters import Parameters, quantity
-from .potentials import Morse, Potential
+from .potentials import Harmonic, Morse, Potential
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,14 @@ CROWDS = {
     'cohesive': Crowd(),
     'printed': Crowd(sheep=Morse(1.0, 2.0, 5e-4, 1e-2), dog=Morse(1e-2, 0.5, 5e-4, 1e-2)),
     'guided': Crowd(dog=Morse(2e-3, 0.1, 2e-2, 1.0)),
+    'independent': Crowd(Morse(0.0, 1e-2, 0.0, 2.0), Harmonic(), friction=1.0, order=1),
 }
 """Crowds by name; `sheep` is the potential between two sheep, `dog` that of a dog on a sheep.
 
 `cohesive` is the paper's with the two lengths swapped, so that the text's long-range
 attraction and short-range repulsion hold; `printed` takes the paper literally, and the
 crowd explodes. `guided` follows its dogs, which are guides: they attract, but not to
-themselves, since both parts have the same slope at r = 0.
+themselves, since both parts have the same slope at r = 0. `independent` sheep do not notice each
+other and have no inertia, after the targets of Lama and di Bernardo (2024, arXiv:2307.16797): like
+theirs they flee from dogs as fast as these run.
 """

@@ -172,8 +172,6 @@ def _paths_in_field(
 def alone(fine: FineModel) -> Resolution:
     """Return sheep that only dogs act on, with a time step as long as friction and dogs allow."""
     friction = fine.crowd.friction
-    if fine.crowd.order == 1:  # nothing smooths how they follow the dogs
-        return Resolution(1)
     longest = min(_LONGEST_STEP, _STEP_PER_RELAXATION / friction if friction else np.inf)
     most = min(max(int(longest / fine.dt * (1.0 + 1e-9)), 1), fine.steps)
     return Resolution(1, next(k for k in range(most, 0, -1) if fine.steps % k == 0))

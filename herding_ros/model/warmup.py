@@ -9,12 +9,13 @@ import time
 import numpy as np
 
 from . import kernels
-from .crowd import Crowd
+from .crowd import Crowd, CROWDS
 from .dynamics import physics, reverse_sweep, rollout, to_lanes
 from .linear_algebra import times, transposed_times
 from .motion import Holonomic
 from .particle_mesh import ParticleMesh
 from .potentials import Mollified, Morse
+from .quadratic import advance, hessian_times, smoothed
 from .sampling import FineModel, free, Resolution
 from .state import HerdState
 from .tracking_cost import tracking_cost
@@ -42,10 +43,15 @@ def warm_up(crowd: Crowd | None = None) -> float:
     source = np.zeros_like(trajectory.xs)
     times(source[0], source[0, 0], source[0, :, 0].copy())
     transposed_times(source[0], np.zeros(2), source[0, 0].copy())
+    h, w, q = np.ones((1, 2)), np.zeros((2, 2)), np.zeros((2, 2))
+    smoothed(h, h.copy())
+    hessian_times(h, 1.0, w, q, h.copy())
+    advance(h.copy(), h.copy(), h.copy(), 1.0, w, q, True)
     tracking_cost(trajectory.xs, np.zeros((2, 2)), 2, 1.0, 1.0, 1.0, source)
     constants, d = physics(crowd, 2, 0.01), trajectory.ds
     nodes = np.ones(kernels.PATHS // 2, dtype=np.int_)
     kernels.centre_adjoints(trajectory.xs, d, nodes, constants, np.empty((2, 2, kernels.PATHS)))
+    Holonomic().project(u, 1.0)
     Holonomic().transpose(d, u, reverse_sweep(crowd, trajectory, source), 0.01, 1)
     return time.perf_counter() - started
 
@@ -64,11 +70,12 @@ def warm_up_others() -> float:
 def main() -> None:
     """Compile all kernels, on two processors if there are as many."""
     started = time.perf_counter()
+    # With a table for the sheep, as in the mean-field limit of a large flock, or for the dogs.
+    tables = (Crowd(sheep=Mollified(Morse())), CROWDS['independent'])
     with ProcessPoolExecutor(2) as pool:
         for done in [pool.submit(warm_up), pool.submit(warm_up_others)]:
             done.result()
-    # The mean-field limit of a large flock also needs sheep with a table.
-    warm_up(Crowd(sheep=Mollified(Morse())))
+        list(pool.map(warm_up, tables))
     print(f'kernels ready after {time.perf_counter() - started:.1f} s')
 
 

@@ -76,7 +76,7 @@ class Controller(HerdingNode):
             self._pilot = LockstepPilot(planner, settings.dogs)
         else:
             self._pilot = RealTimePilot(planner, settings.dogs, settings, self._seconds)
-        self.load_kernels(warm_up)
+        self.load_kernels(partial(warm_up, crowd))
         self._mismatches = Mismatches(self)
         self._create_publishers()
         self.follow([('crowd.', crowd), ('', control)], self._pilot.adjust)
@@ -246,6 +246,8 @@ class Controller(HerdingNode):
         mismatched = self._mismatches.report_values()
         values = {
             'dogs_silent': ' '.join(pilot.silent_dogs),
+            'plans_made': pilot.plans_made,
+            'feedbacks_made': pilot.feedbacks_made,
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
             **self._refused.report_values(),

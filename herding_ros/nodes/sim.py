@@ -61,7 +61,7 @@ class Sim(HerdingNode):
         self._settings = settings = declare(self, SimSettings())
         crowd = declare_crowd(self)
         world = declare(self, World())
-        self.load_kernels(warm_up_rollout)
+        self.load_kernels(partial(warm_up_rollout, crowd))
         self._run = SimulatedRun(
             crowd, world, np.array(settings.goal), settings.stop_on_arrival, settings.time_limit
         )

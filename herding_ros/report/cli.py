@@ -81,6 +81,11 @@ def _in_words(summary: dict[str, Any]) -> str:
             f'{summary["replans"]} replans, solved in {summary["solve_ms_median"]:.0f} ms '
             f'(median), {summary["solve_ms_max"]:.0f} ms (longest)'
         )
+    if summary['feedback_ms_median'] is not None:
+        lines[-1] += (
+            f'; {summary["feedbacks"]} of them between two windows, in '
+            f'{summary["feedback_ms_median"]:.0f} ms (median)'
+        )
     lines.append(f'largest gap between two states {summary["largest_gap_s"]:.3g} s')
     if summary['real_time_factor'] is not None:
         lines.append(

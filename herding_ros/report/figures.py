@@ -71,10 +71,12 @@ def _draw_with_limit(axes: Axes, run: RecordedRun, values: Array, limit: float) 
 
 
 def _draw_solves(axes: Axes, run: RecordedRun) -> None:
-    times = [replan.time for replan in run.replans]
-    solve_ms = [replan.solve_ms for replan in run.replans]
-    axes.vlines(times, 0.0, solve_ms, color='0.75')
-    axes.plot(times, solve_ms, 'o', color='black', markersize=4)
+    for kind, size in (('window', 4), ('feedback', 2)):
+        replans = [replan for replan in run.replans if replan.kind == kind]
+        times = [replan.time for replan in replans]
+        solve_ms = [replan.solve_ms for replan in replans]
+        axes.vlines(times, 0.0, solve_ms, color='0.75')
+        axes.plot(times, solve_ms, 'o', color='black', markersize=size)
     axes.set_xlabel('time [s]', fontsize=9)
     axes.set_ylabel('solving\na replan [ms]', fontsize=9)
     axes.set_ylim(bottom=0.0)

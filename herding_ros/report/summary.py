@@ -50,15 +50,22 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
 
     time_s is when the flock arrived, by `arrival`, else the length of the run. It is judged by
     the sheep that are seen, of which `sheep` is the largest number, and so are distance and
-    spread. replans is how many were made, whether or not they are in the bag. notes says what the
-    bag lacks.
+    spread. replans is how many were made, whether or not they are in the bag; feedbacks how many
+    of those that are in it were made between two windows. notes says what the bag lacks.
     """
     goal = run.goal
     at_first = initial_spread(run)
     when, notes = arrival(run)
     seen = [x[seen] for x, seen in zip(run.x, run.seen, strict=True)]
     home = [k for k, x in enumerate(seen) if goal is not None and arrived(x, goal, at_first, when)]
-    solve_ms = [replan.solve_ms for replan in run.replans if np.isfinite(replan.solve_ms)]
+    solve_ms = {
+        kind: [
+            replan.solve_ms
+            for replan in run.replans
+            if replan.kind == kind and np.isfinite(replan.solve_ms)
+        ]
+        for kind in ('window', 'feedback')
+    }
     seed = run.parameters.get(f'{run.namespace}/sim', {}).get('seed')
     return {
         'arrived': bool(home) if goal is not None else None,
@@ -67,8 +74,10 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
         'max_spread_m': float(over_time(spread, run).max()),
         'initial_spread_m': at_first,
         'replans': run.replans_made,
-        'solve_ms_median': float(np.median(solve_ms)) if solve_ms else None,
-        'solve_ms_max': max(solve_ms, default=None),
+        'feedbacks': sum(replan.kind == 'feedback' for replan in run.replans),
+        'solve_ms_median': _median(solve_ms['window']),
+        'solve_ms_max': max(solve_ms['window'], default=None),
+        'feedback_ms_median': _median(solve_ms['feedback']),
         'messages_recorded': sum(topic.count for topic in run.topics),
         'messages_lost': run.messages_lost,
         'largest_gap_s': run.largest_gap_s,
@@ -83,3 +92,7 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
         'version': run.version,
         'notes': [*run.notes, *notes],
     }
+
+
+def _median(values: list[float]) -> float | None:
+    return float(np.median(values)) if values else None

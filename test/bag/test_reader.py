@@ -58,7 +58,7 @@ def test_arrays_come_back(tmp_path: Path, run_recorder: Any, arrays: dict[str, A
             mapping_iterations=2, mapping_error_before=0.5, mapping_error_after=0.125,
             deadline_margin_s=1.5, other='thing',
         )  # fmt: skip
-        recorder.diagnostics('controller: plan', PERIOD_NS, replan=1, solve_ms=20)
+        recorder.diagnostics('controller: plan', PERIOD_NS, replan=1, solve_ms=20, kind='feedback')
         recorder.diagnostics('controller: plan', 2 * PERIOD_NS, replan=1, solve_ms=99)
     run = read_run(tmp_path / 'bag')
     np.testing.assert_allclose(run.times, 0.1 * np.arange(T), rtol=0, atol=1e-12)
@@ -77,6 +77,7 @@ def test_arrays_come_back(tmp_path: Path, run_recorder: Any, arrays: dict[str, A
     assert (first.mapping_error_before, first.mapping_error_after) == (0.5, 0.125)
     assert (second.time, second.solve_ms) == (pytest.approx(0.1), 20)
     assert np.isnan(second.objective)
+    assert (first.kind, second.kind) == ('window', 'feedback')  # older bags do not say it
 
 
 def test_topics_are_counted(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:

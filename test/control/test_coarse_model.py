@@ -21,8 +21,7 @@ Problem = tuple[CoarseModel, Objective, Array]
 OBSERVABLES = {'centre': (1.0, 0.0), 'individuals': (1.0, 1.0), 'spread': (0.0, 1.0)}
 OTHERS = ('dogs', 'terminal', 'containment', 'radius')
 SIZES = [(1, 1), (2, 5), (5, 2), (8, 1), (9, 3), (16, 4), (17, 5)]
-# One has a potential that kernels know by a table. They are compiled for one in place of the
-# sheep's Morse potential already; for one of dogs as well, test/test_extending.py takes the time.
+# Kernels know some of the potentials by a table.
 WORLDS = {**CROWDS, 'power law': Crowd(sheep=PowerLaw()), 'no inertia': Crowd(order=1)}
 presets = pytest.mark.parametrize('preset', WORLDS)
 # The other worlds run the code of the first with other numbers.

@@ -31,7 +31,6 @@ GROUPS = [Weights, Reference, Horizon, Optimiser, Mapping, Sensor, Control]
         (lambda: Weights(centre=-1.0), 'Weights.centre is -1.0'),
         (lambda: Weights(spread=math.nan), 'Weights.spread is nan'),
         (lambda: Reference(kind='straight'), "Reference.kind is 'straight'"),
-        (lambda: Reference(speed=0.0), 'Reference.speed is 0.0'),
         (lambda: Optimiser(method='newton'), "Optimiser.method is 'newton'"),
         (lambda: Optimiser(max_iterations=0), 'Optimiser.max_iterations is 0'),
         (lambda: Mapping(estimator='spread'), "Mapping.estimator is 'spread'"),
@@ -72,7 +71,10 @@ def test_time_grids_fit_into_each_other() -> None:
 
 
 def test_paper_is_the_papers_own_setting() -> None:
-    assert PAPER.weights == Weights(centre=1.0, spread=1.0, control=1e-2, dogs=0.0)
+    assert PAPER.weights == Weights(
+        distance=0.0, centre=1.0, spread=1.0, control=1e-2, dogs=0.0, beyond=0.0, terminal=0.0
+    )
+    assert not PAPER.optimiser.rules
     assert PAPER.max_speed == 5e-2
     assert PAPER.reference.kind == 'interpolated'
     assert (PAPER.horizon.length, PAPER.horizon.accepted) == (20.0, 10.0)

@@ -72,7 +72,7 @@ def l2(difference: Array, dt: float) -> float:
 
 
 @pytest.mark.parametrize('method', ['output', 'aggressive'])
-@pytest.mark.parametrize('optimiser', ['spg', 'ncg'])
+@pytest.mark.parametrize('optimiser', ['pqn', 'spg', 'ncg'])
 def test_without_noise_the_coarse_plan_is_kept(method: str, optimiser: str) -> None:
     control = dataclasses.replace(
         SMALL, mapping=Mapping(method=method, paths=7), optimiser=Optimiser(method=optimiser)
@@ -313,6 +313,36 @@ def test_improvement_takes_few_iterations_and_leaves_the_cost_lower() -> None:
     assert found.report.optimiser_iterations <= SMALL.optimiser.feedback_iterations
     assert found.report.fine_calls == 0
     assert np.linalg.norm(found.plan.u, axis=2).max() <= SMALL.max_speed * (1 + 1e-12)
+
+
+def test_correction_goes_on_between_two_windows_where_asked_for() -> None:
+    """A feedback expects the centre off the coarse one as the last plan's was, and looks again."""
+    sigma, state = 0.03, herd(9, 2)
+    mapping = dataclasses.replace(PLAIN, max_iterations=2, tolerance=1e-6, feedback=True)
+    control = dataclasses.replace(SMALL, mapping=mapping)
+    planner = RecedingHorizon(Crowd(noise=sigma), control, GOAL, seed=5)
+    window = planner.solve(state, 0.0)
+    coarse = CoarseModel(Crowd(), state, 0.05, 2)
+    defect = (window.centre - coarse.rollout(window.plan.u).x.mean(axis=1))[::2]
+    assert np.abs(defect).max() > 1e-3
+    without_fine = planner.improve(state, 0.0, lambda step: step == 'fine')
+    model = CoarseModel(Crowd(), state, 0.1)
+    expected = model.rollout(without_fine.plan.u).x.mean(axis=1) + defect
+    np.testing.assert_allclose(without_fine.centre, expected, rtol=0, atol=1e-12)
+    # So it asks the coarse model for the reference less the defect.
+    route = reference(control.reference, state, GOAL, 0.1 * np.arange(101)) - defect
+    cost = Objective(
+        [*weighted_costs(control.weights, route), ControlEffort(control.weights.control)]
+    )
+    value = model.value_and_gradient(cost, without_fine.plan.u)[0]
+    assert without_fine.report.objective == pytest.approx(value, rel=1e-12)
+    assert without_fine.report.fine_calls == 0
+    # Brought up to date, it is the expectation under the new plan.
+    found = planner.improve(state, 0.0)
+    noise = draw(sigma, window, 9, 20, 5)
+    after = expected_centre(sigma, state, found.plan, window.dt, noise)
+    np.testing.assert_allclose(found.centre, after[::2], rtol=0, atol=1e-14)
+    assert (found.report.fine_calls, found.report.paths) == (1, (20,))
 
 
 def test_improvement_goes_on_from_the_plan_that_is_played_then() -> None:

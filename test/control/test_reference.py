@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-from herding_ros.control.parameters import Reference
-from herding_ros.control.reference import reference
-from herding_ros.model.state import Array, HerdState
+from dataclasses import replace
+
+from herding_ros.control.reference import pace, reference
+from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.dynamics import rollout
+from herding_ros.model.potentials import Morse
+from herding_ros.model.state import HerdState
 import numpy as np
 import pytest
 
 GOAL = np.array([0.5, 0.5])
-
-
-def flock_at(centre: Array, spread: float, dogs: int) -> HerdState:
-    """Four sheep on a circle."""
-    around = spread * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-    return HerdState(centre + around, np.zeros((4, 2)), np.zeros((dogs, 2)))
+ONE = HerdState(np.zeros((1, 2)), np.zeros((1, 2)), np.array([[9.0, 9.0]]))
+"""A sheep; where the dog is does not count."""
 
 
 def test_interpolated_reference_reaches_the_goal_with_the_window() -> None:
     times, start = np.linspace(0.0, 8.0, 81), np.array([-0.1, 0.2])
-    found = reference(Reference(kind='interpolated'), flock_at(start, 0.4, 1), GOAL, times)
+    found = reference('interpolated', 0.0, start, GOAL, times)
     expected = [start + t / 8.0 * (GOAL - start) for t in times]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
 
@@ -24,8 +24,7 @@ def test_interpolated_reference_reaches_the_goal_with_the_window() -> None:
 @pytest.mark.parametrize('away', [0.0, 0.1, 5.0])
 def test_attainable_reference_keeps_its_speed_and_waits_at_the_goal(away: float) -> None:
     times, start = np.linspace(0.0, 20.0, 201), GOAL - away * np.array([0.6, 0.8])
-    kind = Reference(kind='attainable', speed=0.02)
-    found = reference(kind, flock_at(start, 0.2, 4), GOAL, times)
+    found = reference('attainable', 0.02, start, GOAL, times)
     np.testing.assert_allclose(found[0], start)
     way = np.linalg.norm(found - start, axis=1)
     np.testing.assert_allclose(way, np.minimum(0.02 * times, away), rtol=0, atol=1e-14)
@@ -33,10 +32,26 @@ def test_attainable_reference_keeps_its_speed_and_waits_at_the_goal(away: float)
     np.testing.assert_allclose(way + left, away, rtol=0, atol=1e-14)  # straight there
 
 
-@pytest.mark.parametrize(('dogs', 'expected'), [(1, 0.01), (2, 0.02), (3, 0.03), (9, 0.03)])
-def test_attainable_reference_goes_as_fast_as_so_many_dogs_can_drive(
-    dogs: int, expected: float
+def test_pace_is_the_speed_that_a_sheep_keeps_before_a_dog_at_the_standoff() -> None:
+    """One dog that follows one sheep at 80 % of its greatest force, simulated."""
+    crowd = Crowd(dog=Morse(1e-3, 0.5, 0.0, 1.0))
+    standoff = -0.5 * np.log(0.8)
+    x, v = np.zeros((1, 2)), np.zeros((1, 2))
+    for _ in range(400):
+        d = x - standoff * np.array([[1.0, 0.0]])
+        end = rollout(crowd, HerdState(x, v, d), np.zeros((1, 1, 2)), 0.05).at(-1)
+        x, v = end.x, end.v
+    found = pace(crowd, ONE, np.array([3.0, 0.0]), 1.0)
+    assert found == pytest.approx(float(v[0, 0]), rel=0.01)
+
+
+@pytest.mark.parametrize('crowd', CROWDS.values(), ids=CROWDS)
+def test_pace_is_in_proportion_to_what_dogs_do_until_they_run_as_fast_as_they_can(
+    crowd: Crowd,
 ) -> None:
-    kind, far = Reference(speed=0.03), np.array([-50.0, 3.0])
-    found = reference(kind, flock_at(far, 0.2, dogs), GOAL, np.array([0.0, 10.0]))
-    assert np.linalg.norm(found[1] - found[0]) == pytest.approx(10.0 * expected, rel=1e-12)
+    found = pace(crowd, ONE, GOAL, 1e3)
+    assert pace(replace(crowd, friction=2.0 * crowd.friction), ONE, GOAL, 1e3) == pytest.approx(
+        0.5 * found
+    )
+    assert pace(crowd, ONE, GOAL, 0.5 * found) == 0.5 * found
+    assert pace(crowd, ONE, ONE.x[0], 0.05) == 0.05  # at the goal there is no direction

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from herding_ros.control.parameters import Control, Mapping, Sensor
+from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.surprise import displacement_variance, is_surprising
 from herding_ros.control.window import Window
@@ -40,7 +40,8 @@ def test_variance_is_that_of_a_velocity_with_friction_and_random_force(
     for _ in range(steps):
         covariance = a @ covariance @ a.T + np.diag([0.0, dt])
     expected = covariance[0, 0]
-    assert displacement_variance(friction, elapsed) == pytest.approx(expected, rel=1e-3)
+    found = displacement_variance(Crowd(friction=friction), elapsed)
+    assert found == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize('elapsed', [0.1, 1.0, 5.0])
@@ -50,6 +51,7 @@ def test_variance_is_that_of_a_velocity_with_friction_and_random_force(
     [
         (Crowd(noise=0.03), Sensor()),
         (Crowd(noise=0.03, common_noise=0.5), Sensor()),
+        (Crowd(noise=0.03, order=1), Sensor()),
         (Crowd(noise=0.01), Sensor(0.05, 0.05)),
     ],
 )
@@ -69,7 +71,9 @@ def test_noise_alone_does_not_surprise(
         noise = increments(rng, crowd, sheep, 0.05, 2 * periods)
         end = rollout(crowd, start, dogs, 0.05, 2, noise).at(-1)
         seen = replace(end, x=end.x + rng.normal(0.0, sensor.position_noise, end.x.shape))
-        surprises += is_surprising(crowd, sensor, window, elapsed, seen, elapsed)
+        surprises += is_surprising(
+            crowd, replace(CONTROL, sensor=sensor), window, elapsed, seen, elapsed
+        )
     assert surprises <= 2
 
 
@@ -96,8 +100,8 @@ def test_what_noise_does_not_explain_surprises(
     crowd = Crowd(noise=0.02)
     state, window = planned(crowd, 20, t)
     then = rollout(crowd, state, window.plan.u[:10], 0.05, 2).at(-1)
-    assert not is_surprising(crowd, Sensor(), window, 1.0, then, t + 1.0)
-    assert is_surprising(crowd, Sensor(), window, 1.0, change(then), t + 1.0)
+    assert not is_surprising(crowd, CONTROL, window, 1.0, then, t + 1.0)
+    assert is_surprising(crowd, CONTROL, window, 1.0, change(then), t + 1.0)
 
 
 def test_a_stronger_noise_and_a_longer_time_explain_more() -> None:
@@ -106,8 +110,21 @@ def test_a_stronger_noise_and_a_longer_time_explain_more() -> None:
     off = replace(state, x=state.x + np.array([0.06, 0.0]))
 
     def surprises(noise: float, elapsed: float) -> bool:
-        return is_surprising(Crowd(noise=noise), Sensor(), window, elapsed, off, 0.0)
+        return is_surprising(Crowd(noise=noise), CONTROL, window, elapsed, off, 0.0)
 
     assert [surprises(0.02, elapsed) for elapsed in (0.1, 1.0, 60.0)] == [True, True, False]
     assert surprises(0.0, 60.0)
     assert not surprises(0.3, 1.0)
+
+
+def test_an_error_that_dogs_run_in_no_time_is_no_surprise() -> None:
+    """So a model that is a little wrong surprises no one, in metres or in millimetres."""
+    state, window = planned(Crowd(noise=0.0), 20)
+    off = replace(state, x=state.x + np.array([0.01, 0.0]))
+
+    def surprises(max_speed: float, feedback: float = 1.0) -> bool:
+        control = replace(CONTROL, max_speed=max_speed, horizon=Horizon(feedback=feedback))
+        return is_surprising(Crowd(noise=0.0), control, window, 0.1, off, 0.0)
+
+    assert [surprises(speed) for speed in (0.02, 0.03, 0.05)] == [True, False, False]
+    assert surprises(0.05, feedback=0.4)

@@ -136,7 +136,7 @@ def test_presets_are_the_paper_with_and_without_the_lengths_swapped() -> None:
     assert cohesive.sheep == Morse(1.0, 1e-2, 5e-4, 2.0)
     assert cohesive.dog == Morse(1e-2, 0.5, 5e-4, 2.0)
     assert cohesive == Crowd()
-    assert {crowd.friction for crowd in CROWDS.values()} == {0.5}
+    assert {crowd.friction for crowd in (printed, cohesive)} == {0.5}
 
 
 def test_guides_attract_without_a_jerk() -> None:

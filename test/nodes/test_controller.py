@@ -207,7 +207,7 @@ def test_by_its_own_clock_a_plan_is_announced_before_it_is_played_and_solves_hol
 ) -> None:
     start(
         'controller', dogs=2, lead=4.0, mapping__paths=4000, mapping__tolerance=0.0,
-        mapping__max_iterations=12, mapping__standard_error=0.0,
+        mapping__max_iterations=12, mapping__standard_error=0.0, horizon__feedback=10.0,
     )  # fmt: skip
     pasture = Pasture(peer, herd)
     goals = peer.talk_to(PoseStamped, 'goal_pose')
@@ -255,6 +255,8 @@ def test_stale_stamps_move_no_dog_and_silence_is_noticed(
     timer = peer.node.create_timer(0.05, lambda: pasture.show(pasture.now(), silent=silent))
     peer.spin_until(lambda: pasture.plans and velocity_of(pasture, 1).any())
     assert pasture.plans[-1].joint_names == ['dog_1', 'dog_2']
+    peer.spin_until(lambda: pasture.said('controller: plan').get('kind') == 'feedback')
+    peer.spin_until(lambda: pasture.said('controller: state').get('feedbacks_made', '0') != '0')
     silent.append(1)
     peer.spin_until(lambda: pasture.plans[-1].joint_names == ['dog_1'])
     peer.spin_until(lambda: pasture.said('controller: state')['dogs_silent'] == 'dog_2')

@@ -264,6 +264,7 @@ def test_each_plan_begins_exactly_at_its_window(start: Callable[..., Any], peer:
     commands = Commands(peer, meadow)
     # A solve takes a tenth of the 1.6 s that it is given.
     short = {'horizon__length': 4.0, 'horizon__accepted': 2.0, 'lead': 1.6}
+    short['horizon__feedback'] = 2.0  # none
     short['state_timeout'] = SLACK
     start('sim', **{**SIM, 'stop_on_arrival': False, 'real_time_factor': 1.0})
     start('controller', **{**CONTROLLER, **short})

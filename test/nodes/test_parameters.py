@@ -12,9 +12,10 @@ from typing import Any
 
 from geometry_msgs.msg import TwistStamped
 from herding_ros.control.parameters import Control, Weights
-from herding_ros.model.crowd import Crowd
+from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import describe_limits, Parameters
+from herding_ros.model.potentials import Harmonic
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import messages
 from herding_ros.nodes.herding_node import HerdingNode
@@ -240,6 +241,19 @@ def declare_all(node: HerdingNode) -> None:
         declare_crowd(node)
     for kind in kinds[node.get_name()]:
         declare(node, kind)
+
+
+def test_a_preset_brings_the_parameters_of_its_own_potentials(domain: int) -> None:
+    given = ['crowd.preset:=independent', 'crowd.dog.reach:=0.6']
+    start_ros(['--ros-args', *(part for each in given for part in ('-p', each))], domain_id=domain)
+    node = HerdingNode('sim')
+    try:
+        preset = CROWDS['independent']
+        assert declare_crowd(node) == dataclasses.replace(preset, dog=Harmonic(reach=0.6))
+        assert not node.has_parameter('crowd.dog.repulsion')
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
 
 
 def test_what_does_not_go_together_is_refused(asked: Callable[[str], Asker]) -> None:

@@ -24,9 +24,9 @@ from rich.console import Console
 NAN = float('nan')
 
 
-def replan(number: int, solve_ms: float) -> Replan:
+def replan(number: int, solve_ms: float, kind: str = 'window') -> Replan:
     return Replan(
-        10.0 * number, number, 'converged', solve_ms, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN
+        10.0 * number, number, 'converged', solve_ms, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, kind
     )
 
 
@@ -97,6 +97,15 @@ def test_summary_of_an_arrival(run: RecordedRun) -> None:
     assert (summary['sheep'], summary['dogs']) == (4, 2)
     assert summary['goal'] == [1.0, 0.0]
     assert summary['version'] == '1.2.3'
+
+
+def test_summary_tells_feedbacks_from_windows(run: RecordedRun) -> None:
+    replans = (*run.replans, replan(3, 1.0, 'feedback'), replan(4, 2.5, 'feedback'))
+    found, without = summarise(replace(run, replans=replans, replans_made=5)), summarise(run)
+    assert (found['replans'], found['feedbacks']) == (5, 2)
+    assert (found['solve_ms_median'], found['solve_ms_max']) == (11.0, 30.0)
+    assert found['feedback_ms_median'] == 1.75
+    assert (without['feedbacks'], without['feedback_ms_median']) == (0, None)
 
 
 def with_arrival(run: RecordedRun, **values: Any) -> RecordedRun:

@@ -3,32 +3,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from herding_ros.model.state import Array, Trajectory
 import numpy as np
 
-from .cost import Derivatives
-from .tracking import Tracking
+from .cost import Cost, Derivatives
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """The integrand of `tracking` at the last instant T, times weight [s].
+    """What running costs of sheep come to over a last step of length weight [s].
 
-    C = w (a/2 |xc(T) - Z(T)|^2 + b/(2N) sum_i |x_i(T) - xc(T)|^2)
-
-    It is what tracking costs over a last step of length w.
+    `costs` are for the last two instants of the window: references have two rows.
     """
 
     weight: float
-    tracking: Tracking
+    costs: Sequence[Cost]
 
     def value_and_derivatives(self, trajectory: Trajectory, u: Array) -> tuple[float, Derivatives]:
-        """Return C and its derivative by the positions of the sheep."""
+        """Return the sum of the costs and its derivative by the positions of the sheep."""
         xs, vs, ds = trajectory.xs[-2:], trajectory.vs[-2:], trajectory.ds[-2:]
         last_step = Trajectory(self.weight, trajectory.n, xs, vs, ds)
-        last = replace(self.tracking, reference=self.tracking.reference[-2:])
         derivative = np.zeros_like(trajectory.xs)
-        value, derivative[-2:] = last.value_and_derivative(last_step)
-        return value, Derivatives(x=derivative)
+        total = 0.0
+        for cost in self.costs:
+            value, by = cost.value_and_derivatives(last_step, u)
+            assert by.x is not None
+            total += value
+            derivative[-2:] += by.x
+        return total, Derivatives(x=derivative)

@@ -18,16 +18,18 @@ class Holonomic(Parameters):
 
     def project(self, u: Array, max_speed: float) -> Array:
         """Shorten commands u (..., 2) that are faster than max_speed [m/s]."""
-        speed = np.sqrt(u[..., 0] ** 2 + u[..., 1] ** 2)  # four times as fast as np.hypot
-        # Rounded down, so that the result keeps the limit and a second projection changes nothing.
-        shortened = max_speed * (1.0 - _ROUND_OFF) / np.maximum(speed, max_speed)
-        return u * np.where(speed > max_speed, shortened, 1.0)[..., None]
+        # A program's help needs no Numba; a relative import takes longer than the work.
+        from herding_ros.model.motion.holonomic_kernels import shorten
+
+        out = np.array(u, dtype=np.float64, order='C')
+        shorten(out.reshape(-1, 2), max_speed, _ROUND_OFF)
+        return out
 
     def rollout(self, d: Array, u: Array, dt: float, substeps: int) -> Array:
         """Return the positions (K+1, 2, M) under u (intervals, M, 2): d_k+1 = d_k + dt u_k."""
         ds = np.empty((len(u) * substeps + 1, 2, len(d)))
         ds[0] = d.T
-        from .holonomic_kernels import rollout  # a program's help needs no Numba
+        from .holonomic_kernels import rollout
 
         rollout(ds, u, dt, substeps)
         return ds

@@ -26,3 +26,17 @@ def transpose(source: Array, dt: float, substeps: int, out: Array) -> None:
             for i in range(source.shape[2]):
                 nu[c, i] += dt * source[k + 1, c, i]
                 out[k // substeps, c, i] += dt * nu[c, i]
+
+
+@kernel
+def shorten(u: Array, limit: float, round_off: float) -> None:
+    """Shorten those of u[n, 2] that are longer than the limit, to the limit.
+
+    Rounded down, so that the result keeps the limit and a second time changes nothing.
+    """
+    for i in range(u.shape[0]):
+        length = np.sqrt(u[i, 0] * u[i, 0] + u[i, 1] * u[i, 1])
+        if length > limit:
+            factor = limit * (1.0 - round_off) / length
+            u[i, 0] *= factor
+            u[i, 1] *= factor

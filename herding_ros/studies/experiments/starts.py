@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from herding_ros.model.flock import centre
-from herding_ros.model.scenario import DOG_RADIUS
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
@@ -15,8 +14,8 @@ _STRAY = 1.2
 """Distance of a stray from the centre of the flock [m]."""
 _INSIDE = 0.15
 """Distance of dogs inside the flock from its centre [m]."""
-_CLUSTER = 0.5
-"""Distance of two clusters from their common centre [m], and their size over that of a flock."""
+_CLUSTER = 0.8
+"""Distance of two clusters from their common centre [m]."""
 
 
 def _strays(herd: HerdState, ahead: Array) -> HerdState:
@@ -30,21 +29,22 @@ def _strays(herd: HerdState, ahead: Array) -> HerdState:
 def _inside(herd: HerdState, ahead: Array) -> HerdState:
     """Put the dogs in the midst of the flock."""
     angles = 2.0 * np.pi * np.arange(len(herd.d)) / len(herd.d)
-    return _with_dogs(herd, _INSIDE, ahead, angles)
+    d = herd.d.copy()
+    d[:, :2] = centre(herd.x) + _INSIDE * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return replace(herd, d=d)
 
 
 def _in_front(herd: HerdState, ahead: Array) -> HerdState:
     """Put the dogs on the side of the goal."""
-    angles = np.linspace(-0.9, 0.9, len(herd.d)) if len(herd.d) > 1 else np.zeros(1)
-    return _with_dogs(herd, DOG_RADIUS, ahead, angles)
+    d = herd.d.copy()
+    d[:, :2] *= -1.0
+    return replace(herd, d=d)
 
 
 def _clusters(herd: HerdState, ahead: Array) -> HerdState:
     """Divide the flock in two, one on each side."""
     side = np.where(np.arange(len(herd.x)) % 2, 1.0, -1.0)[:, None]
-    middle = centre(herd.x)
-    x = middle + _CLUSTER * (herd.x - middle + side * _aside(ahead))
-    return replace(herd, x=x)
+    return replace(herd, x=herd.x + _CLUSTER * side * _aside(ahead))
 
 
 _STARTS: dict[str, Callable[[HerdState, Array], HerdState]] = {
@@ -66,11 +66,3 @@ def arranged(start: str, herd: HerdState, goal: Array) -> HerdState:
 
 def _aside(ahead: Array) -> Array:
     return np.array([-ahead[1], ahead[0]])
-
-
-def _with_dogs(herd: HerdState, radius: float, ahead: Array, angles: Array) -> HerdState:
-    """Put the dogs around the centre at angles (M,) [rad] from the direction of the goal."""
-    angles = angles + np.arctan2(ahead[1], ahead[0])
-    d = herd.d.copy()
-    d[:, :2] = centre(herd.x) + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    return replace(herd, d=d)

@@ -9,6 +9,7 @@ from herding_ros.control.costs.check import taylor_orders
 from herding_ros.control.costs.containment import Containment
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.cost import Cost, Derivatives
+from herding_ros.control.costs.distance import Distance
 from herding_ros.control.costs.leash import Leash
 from herding_ros.control.costs.terminal import Terminal
 from herding_ros.control.costs.tracking import Tracking
@@ -29,7 +30,8 @@ ROUTE = np.random.default_rng(9).normal(0.0, 0.3, (STEPS + 1, 2))
 CONTROL = np.random.default_rng(10).normal(0.0, 0.05, (INTERVALS, DOGS, 2))
 COSTS: dict[str, Cost] = {
     'tracking': Tracking(3.0, 1.0, ROUTE),
-    'terminal': Terminal(5.0, Tracking(3.0, 1.0, ROUTE)),
+    'distance': Distance(2.0, 0.05, ROUTE),
+    'terminal': Terminal(5.0, [Tracking(3.0, 1.0, ROUTE[-2:]), Distance(2.0, 0.05, ROUTE[-2:])]),
     'disc': Containment(2.0, 0.3, np.array([0.5, 0.5])),
     'moving disc': Containment(2.0, 0.3, ROUTE),
     'point': Containment(2.0, 0.0, ROUTE),
@@ -80,12 +82,16 @@ def test_costs_are_the_sums_they_say(played: Played) -> None:
     """All that weights can ask for, written out as in the paper and the README."""
     trajectory, u = played
     n = trajectory.n
-    w = Weights(3.0, 2.0, 0.3, 0.7, terminal=5.0, containment=2.0, radius=0.4)
+    w = Weights(
+        distance=1.5, centre=3.0, spread=2.0, control=0.3, dogs=0.7, terminal=5.0,
+        containment=2.0, radius=0.4,
+    )  # fmt: skip
     expected = 0.0
     for k in range(1, STEPS + 1):
         centre = sum(trajectory.x[k]) / n
         time = DT + (w.terminal if k == STEPS else 0.0)
         expected += time * w.centre / 2 * sum((centre - ROUTE[k]) ** 2)
+        expected += time * w.distance * (math.hypot(*(centre - ROUTE[k]), 0.05) - 0.05)
         for each in trajectory.x[k]:
             expected += time * w.spread / (2 * n) * sum((each - centre) ** 2)
             beyond = max(math.dist(each, ROUTE[k]) - w.radius, 0.0)
@@ -93,7 +99,7 @@ def test_costs_are_the_sums_they_say(played: Played) -> None:
         for each in trajectory.d[k]:
             expected += DT * w.dogs / 2 * sum((each - ROUTE[k]) ** 2)
     expected += DT * SUBSTEPS * w.control / 2 * float(np.square(u - CONTROL).sum())
-    objective = Objective([*weighted_costs(w, ROUTE), ControlEffort(w.control, CONTROL)])
+    objective = Objective([*weighted_costs(w, ROUTE, 0.05), ControlEffort(w.control, CONTROL)])
     assert objective.value_and_derivatives(trajectory, u)[0] == pytest.approx(expected, rel=1e-12)
 
 
@@ -105,7 +111,8 @@ def test_equal_weights_are_the_cost_of_the_paper(played: Played) -> None:
 
 
 def test_weights_of_zero_leave_nothing_to_compute() -> None:
-    assert [type(cost) for cost in weighted_costs(Weights(dogs=0.0), ROUTE)] == [Tracking]
+    found = weighted_costs(Weights(distance=0.0, dogs=0.0, terminal=0.0), ROUTE, 0.05)
+    assert [type(cost) for cost in found] == [Tracking]
 
 
 def test_a_cost_has_derivatives_where_it_has_a_kink() -> None:

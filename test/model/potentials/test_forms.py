@@ -8,7 +8,8 @@ from herding_ros.model.state import Array
 import numpy as np
 import pytest
 
-POTENTIALS = [each for crowd in CROWDS.values() for each in (crowd.sheep, crowd.dog)]
+PAIRS = [(crowd.sheep, crowd.dog) for crowd in CROWDS.values()]
+POTENTIALS = [p for pair in PAIRS for p in pair if isinstance(p, Morse) and p.attraction]
 DISTANCES = (1e-4, 3e-3, 1e-2, 0.07, 0.5, 2.0, 9.0)
 
 

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Collect strays, else drive from behind (after Strömbom et al. 2014)."""
+
+from __future__ import annotations
+
+from herding_ros.control.errands import behind_each, Errands
+from herding_ros.model.flock import centre, spread
+from herding_ros.model.state import Array, HerdState
+import numpy as np
+
+from .rule import nearest_posts
+
+_SIDE_BY_SIDE = 0.45
+"""Angle between neighbouring drivers, seen from the flock's centre [rad]."""
+
+
+class CollectAndDrive:
+    """Dogs with an errand go behind their strays; the others drive the flock from behind."""
+
+    def posts(self, state: HerdState, errands: Errands, goal: Array) -> Array:
+        """Return the posts (M, 2) [m]."""
+        posts = np.array(state.dogs)
+        place = errands.place(state.x)
+        posts[errands.dogs] = behind_each(state.x[errands.sheep], place, errands.standoff)
+        idle = np.setdiff1d(np.arange(len(posts)), errands.dogs)
+        if len(idle):
+            behind = drivers(state.x[errands.together], goal, len(idle), errands.standoff)
+            posts[idle] = nearest_posts(state.dogs[idle], behind)
+        return posts
+
+
+def drivers(x: Array, goal: Array, dogs: int, standoff: float) -> Array:
+    """Return posts (dogs, 2) [m] side by side behind sheep at x (N, 2) on the way to a goal.
+
+    They are at the standoff from a disc that holds as many sheep as the flock's spread tells.
+    """
+    if not len(x):
+        return np.tile(goal, (dogs, 1))
+    middle, radius = centre(x), np.sqrt(2.0) * float(spread(x)) + standoff
+    back = np.arctan2(*(middle - goal)[::-1])
+    angles = back + _SIDE_BY_SIDE * (np.arange(dogs) - 0.5 * (dogs - 1))
+    return middle + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)

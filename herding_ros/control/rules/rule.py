@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a rule of herding provides, and what it would do over a window."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+from herding_ros.control.coarse_model import CoarseModel
+from herding_ros.control.detour import detour
+from herding_ros.control.errands import Errands
+from herding_ros.control.reach import Reach
+from herding_ros.model.state import Array, HerdState
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+_DECISIONS = 10
+"""Number of times in a window at which a rule decides anew."""
+
+
+class Rule(Protocol):
+    """Tells dogs where to be."""
+
+    def posts(self, state: HerdState, errands: Errands, goal: Array) -> Array:
+        """Return the post (M, 2) [m] of each dog on the way to the goal (2,) [m]."""
+
+
+def rule_plan(
+    rule: Rule, model: CoarseModel, reach: Reach, goal: Array, max_speed: float, intervals: int
+) -> Array:
+    """Return the control (intervals, M, 2) [m/s] that a rule leads to on the coarse model.
+
+    Ten times in a window it says where the dogs should be. They go there at max_speed round
+    the flock, and no farther.
+    """
+    state, chunks = model.state, []
+    held = -(-intervals // _DECISIONS)
+    for first in range(0, intervals, held):
+        count = min(held, intervals - first)
+        errands = Errands.of(reach, state, goal)
+        place = errands.place(state.x)
+        posts = rule.posts(state, errands, goal)
+        way, by_dog, _ = detour(state.dogs - place, posts - place, errands.around)
+        speed = np.minimum(max_speed, way / (count * model.interval))
+        u = np.broadcast_to(-speed[:, None] * by_dog, (count, *posts.shape))
+        chunks.append(model.motion.project(u, max_speed))
+        state = replace(model, state=state).rollout(chunks[-1]).at(-1)
+    return np.concatenate(chunks)
+
+
+def nearest_posts(d: Array, posts: Array) -> Array:
+    """Return the posts (M, 2) [m] in an order in which dogs at d (M, 2) reach them soon."""
+    _, taken = linear_sum_assignment(np.linalg.norm(d[:, None] - posts, axis=-1))
+    return posts[taken]
