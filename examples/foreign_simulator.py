@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller herds in a simulator of somebody else: here, sheep on a meadow that slopes.
 
-This class has what `steer` asks of a plant. The controller is told that the meadow is flat.
+This class has what `steer` asks of a plant. The controller believes that it is flat.
 """
 
 from herding_ros import Control, Crowd, HerdState, Mapping, Observation, RecedingHorizon, steer
@@ -24,7 +24,7 @@ class Meadow:
     @property
     def arrived(self):
         """Whether the flock's centre is at the goal."""
-        return np.linalg.norm(self.state.x.mean(axis=0) - GOAL) < 0.05
+        return np.linalg.norm(self.state.x.mean(axis=0) - GOAL) < 0.1
 
     def observe(self):
         """Return what the sensors see: here, everything."""

@@ -190,7 +190,9 @@ def _draw_maps(results: Results, figures: Path) -> None:
         success = np.array(
             [[_success(_on(results, m, n, controller)).value for n in _TARGETS] for m in _HERDERS]
         )
-        place.imshow(success, vmin=0.0, vmax=1.0, origin='lower', cmap='Blues', aspect='auto')
+        place.imshow(
+            success, vmin=0.0, vmax=1.0, origin='lower', cmap='Blues', aspect='auto', zorder=2
+        )
         for (i, j), value in np.ndenumerate(success):
             if np.isfinite(value):
                 colour = 'white' if value > 0.5 else 'black'

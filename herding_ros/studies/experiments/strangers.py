@@ -60,7 +60,6 @@ def targets(seed: int, **given: Any) -> Stranger:
     )
     settings = {
         'max_speed': setting.max_speed,
-        'reference.speed': 0.25 * setting.max_speed,
         'horizon.control_period': setting.control_period,
         'horizon.length': 4.0,
         'horizon.accepted': 2.0,
@@ -89,7 +88,6 @@ def flock(seed: int) -> Stranger:
     )
     settings = {
         'max_speed': MAX_SPEED,
-        'reference.speed': 0.5,
         'horizon.control_period': plant.control_period,
         'horizon.length': 60.0,
         'horizon.accepted': 30.0,

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 from herding_ros.studies import strangers
@@ -33,12 +32,18 @@ def result_of(task: Task) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@pytest.fixture
-def section(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Section:
-    monkeypatch.setattr(Figure, 'savefig', lambda *_, **__: None)
+Drawn = tuple[Section, list[Figure]]
+
+
+@pytest.fixture(scope='module')
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Drawn:
+    """Return the section of made-up results, and its figures."""
+    figures: list[Figure] = []
     tasks = strangers.tasks(Options())
     found = [(task, json.loads(json.dumps(result_of(task)))) for task in tasks]
-    return strangers.draw(Results(found), tmp_path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, 'savefig', lambda figure, *_, **__: figures.append(figure))
+        return strangers.draw(Results(found), tmp_path_factory.mktemp('figures')), figures
 
 
 def cells(table: str) -> dict[tuple[str, ...], list[str]]:
@@ -48,7 +53,8 @@ def cells(table: str) -> dict[tuple[str, ...], list[str]]:
     return {tuple(row[:2]): row[2:] for row in rows}
 
 
-def test_tables_tell_plants_and_controllers_apart(section: Section) -> None:
+def test_tables_tell_plants_and_controllers_apart(drawn: Drawn) -> None:
+    section, _ = drawn
     herds = cells(section.values['herds'])
     assert len(herds) == 3 * 3
     arrivals, median, mean, *_ = herds['1 dog, 25 sheep', 'own rule']
@@ -61,8 +67,8 @@ def test_tables_tell_plants_and_controllers_apart(section: Section) -> None:
     assert truths['30 % of the commands lost', 'ours'][0].startswith('10 of 20')
 
 
-def test_goals_are_those_of_the_rule_on_the_same_seeds(section: Section) -> None:
-    goals = {goal.text: goal for goal in section.goals}
+def test_goals_are_those_of_the_rule_on_the_same_seeds(drawn: Drawn) -> None:
+    goals = {goal.text: goal for goal in drawn[0].goals}
     assert goals['2 herders, 7 targets: arrivals'].reached
     assert goals['2 herders, 7 targets: mean time'].reached
     assert goals['3 dogs, as told'].bound == '≥ 100 %'
@@ -72,14 +78,9 @@ def test_goals_are_those_of_the_rule_on_the_same_seeds(section: Section) -> None
     assert '5 dogs, as told' not in goals
 
 
-def test_herdability_is_mapped_over_herders_and_targets(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn = []
-    monkeypatch.setattr(Figure, 'savefig', lambda figure, *_, **__: drawn.append(figure))
-    found = [(task, result_of(task)) for task in strangers.tasks(Options())]
-    strangers.draw(Results(found), tmp_path)
-    maps = [axes.images[0].get_array() for figure in drawn for axes in figure.axes if axes.images]
+def test_herdability_is_mapped_over_herders_and_targets(drawn: Drawn) -> None:
+    axes = [axes for figure in drawn[1] for axes in figure.axes]
+    maps = [each.images[0].get_array() for each in axes if each.images]
     assert len(maps) == 2
     for success in maps:
         np.testing.assert_array_equal(success, np.tile([1.0, 1.0, 1.0, 0.0], (4, 1)))
