@@ -9,10 +9,11 @@ is kept: in a feedback the flock is expected where the coarse model has it plus 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 import itertools
+import math
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
@@ -32,7 +33,7 @@ from .parameter_extraction import ParameterExtraction
 from .parameters import Control
 from .plan import Plan
 from .pqn import pqn
-from .solution import Budget, never, NoTimeFor, Problem, Solution, Status
+from .solution import Budget, never, NoTimeFor, Problem, Projection, Solution, Status
 from .solve_report import SolveReport, Stopwatch
 from .space_mapping import (
     aggressive_mapping,
@@ -66,6 +67,20 @@ class _Planned:
 
     plan: Plan
     defect: Array
+
+
+@dataclass(frozen=True)
+class _Coarse:
+    """What the coarse solve has found, on the finest time grid.
+
+    costs: control effort apart; value: of a control; best_rule: that of the cheapest rule's plan,
+    infinite without rules.
+    """
+
+    solution: Solution
+    costs: list[Cost]
+    value: Callable[[Array], float]
+    best_rule: float
 
 
 @dataclass
@@ -131,7 +146,8 @@ class RecedingHorizon:
             partial(no_time_for, 'coarse'),
         )
         with clock.phase('coarse'):
-            solution, costs = self._solve_coarse(coarse, t, budget)
+            found = self._solve_coarse(coarse, t, budget)
+            solution = found.solution
             target = centre(coarse.rollout(solution.u).x)
         expected: list[Expectation] = []
         extraction_calls = 0
@@ -142,7 +158,12 @@ class RecedingHorizon:
         else:
             out_of_time = partial(no_time_for, EXTRACTION)
             extraction = ParameterExtraction(
-                coarse, self._admissible, solution.u, control.weights.control, costs, out_of_time
+                coarse,
+                self._admissible,
+                solution.u,
+                control.weights.control,
+                found.costs,
+                out_of_time,
             )
             expectation = self._expectation(state, t)
 
@@ -156,6 +177,14 @@ class RecedingHorizon:
             problem = MappingProblem(clock.timing('fine', fine), misfit, solution.u)
             mapping = self._map(problem, extraction, coarse, clock, no_time_for)
             extraction_calls = extraction.calls
+            if found.value(mapping.u) > found.best_rule:  # it looks at the centre alone
+                mapping = MappingResult(
+                    solution.u,
+                    expected[0].centre,
+                    Status.NO_DESCENT,
+                    mapping.residuals[:1],
+                    mapping.misfits[:1],
+                )
         with clock.phase('coarse'):
             predicted = coarse.rollout(mapping.u)
         plan = Plan(t, horizon.control_period, mapping.u)
@@ -188,7 +217,7 @@ class RecedingHorizon:
             defect = last.defect
         rule = next(self._turns)  # all of them would take too long
         with clock.phase('coarse'):
-            solution, _ = self._solve_coarse(coarse, t, budget, defect, [rule])
+            solution = self._solve_coarse(coarse, t, budget, defect, [rule]).solution
             predicted = coarse.rollout(solution.u)
         expected: list[Expectation] = []
         if corrects and not no_time_for(FINE):
@@ -217,14 +246,13 @@ class RecedingHorizon:
         budget: Budget,
         defect: Array | float = 0.0,
         rules: Sequence[str] = tuple(RULES),
-    ) -> tuple[Solution, list[Cost]]:
+    ) -> _Coarse:
         """Minimise the cost of the window without noise, from the best plan at hand.
 
         These are the plan that is played on and what the given rules would do. The plan that is
-        found costs no more than any of them. The flock is
-        expected where the coarse model has it plus the defect, on the finest time grid. Most of
-        the work is done on the control's own, where a step is cheaper. Also return the costs on
-        the finest one, control effort apart.
+        found costs no more than any of them. The flock is expected where the coarse model has it
+        plus the defect, on the finest time grid. Most of the work is done on the control's own,
+        where a step is cheaper.
         """
         horizon, optimiser = self.control.horizon, self.control.optimiser
         control_effort = ControlEffort(self.control.weights.control)
@@ -233,7 +261,6 @@ class RecedingHorizon:
         if not budget.out_of_time():
             candidates |= task.rule_plans(coarse.on_grid(1), rules)
         solutions: list[Solution] = []
-        costs: list[Cost] = []
         limit = budget.max_iterations
         hessian = Hessian()  # the curvature hardly depends on the time grid
         for substeps in sorted({1, coarse.substeps}):
@@ -241,9 +268,9 @@ class RecedingHorizon:
             times = model.dt * np.arange(horizon.intervals * substeps + 1, dtype=np.float64)
             costs = [*task.costs(times, defect), *self.costs]
             objective = Objective([*costs, control_effort])
-            name, u = min(
-                candidates.items(), key=lambda each: self._value(model, objective, each[1])
-            )
+            value = partial(_value, model, objective, self._admissible)
+            values = {name: value(u) for name, u in candidates.items()}
+            name = min(values, key=values.__getitem__)
             problem = Problem(
                 partial(model.value_and_gradient, objective),
                 self._admissible,
@@ -252,7 +279,8 @@ class RecedingHorizon:
                 hessian,
             )
             minimise = OPTIMISERS[optimiser.method]
-            solutions.append(minimise(problem, u, replace(budget, max_iterations=limit)))
+            start = candidates[name]
+            solutions.append(minimise(problem, start, replace(budget, max_iterations=limit)))
             candidates[name] = solutions[-1].u
             limit = -(-limit // 3)
         solution = replace(
@@ -263,17 +291,14 @@ class RecedingHorizon:
         hurried = solution.status is Status.OUT_OF_TIME
         if not hurried and self._is_without_influence(coarse, solution.u, task):
             solution = replace(solution, status=Status.NO_INFLUENCE)
-        return solution, costs
+        best_rule = min((each for rule, each in values.items() if rule in RULES), default=math.inf)
+        return _Coarse(solution, costs, value, best_rule)
 
     def _played_on(self, t: float, dogs: int) -> Array:
         """Return the control (intervals, M, 2) of the plan that is played at t [s], continued."""
         u: Array = np.zeros((self.control.horizon.intervals, dogs, 2))
         last = self._playing(t)
         return last.plan.shifted(t).u if last is not None and last.plan.u.shape == u.shape else u
-
-    def _value(self, model: CoarseModel, objective: Objective, u: Array) -> float:
-        u = self._admissible(u)
-        return objective.value_and_derivatives(model.rollout(u), u)[0]
 
     def _is_without_influence(self, coarse: CoarseModel, u: Array, task: Task) -> bool:
         """Whether sheep that are not home go as they would if the dogs stood."""
@@ -330,6 +355,12 @@ class RecedingHorizon:
             self._noise = Noise(fine, estimator, self.seed)
             self._noise_sheep = fine.sheep
         return ExpectedCentre(fine, estimator, self._noise, mapping.standard_error, mapping.paths)
+
+
+def _value(model: CoarseModel, objective: Objective, project: Projection, u: Array) -> float:
+    """Return the cost of the admissible control nearest to u."""
+    u = project(u)
+    return objective.value_and_derivatives(model.rollout(u), u)[0]
 
 
 def _in_order(planned: list[_Planned]) -> list[_Planned]:

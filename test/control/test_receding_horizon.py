@@ -7,7 +7,15 @@ from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective
-from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping, Optimiser, PAPER
+from herding_ros.control.parameters import (
+    Coarse,
+    Control,
+    Horizon,
+    Mapping,
+    Optimiser,
+    PAPER,
+    Weights,
+)
 from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import Budget, Problem, Status
@@ -231,7 +239,8 @@ def test_mapping_from_the_mean_field_limit_lowers_the_error_as_from_all_sheep(me
         method=method, paths=20, max_iterations=4, tolerance=1e-4,
         estimator='plain', standard_error=0.0,
     )  # fmt: skip
-    control = dataclasses.replace(SMALL, mapping=mapping)
+    quadratic = Weights(distance=0.0, centre=3.0, beyond=0.0, terminal=0.0)
+    control = dataclasses.replace(SMALL, weights=quadratic, mapping=mapping)
     left = {}
     for markers in (24, n):
         control = dataclasses.replace(control, coarse=Coarse(markers))
@@ -431,7 +440,7 @@ def test_plan_on_the_default_time_grid_costs_no_more_than_one_on_the_sims(
 ) -> None:
     """Both solved to the end and played back in steps of 0.01 s: 2e-4 is all they differ."""
     control = dataclasses.replace(
-        without_mapping(control), optimiser=Optimiser(tolerance=2e-4, max_iterations=2000)
+        without_mapping(control), optimiser=Optimiser(tolerance=1e-8, max_iterations=2000)
     )
     horizon = dataclasses.replace(control.horizon, substeps=10)
     fine = dataclasses.replace(control, horizon=horizon)
