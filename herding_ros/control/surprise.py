@@ -6,19 +6,11 @@ whose coordinates have the variance
 
     q(T) = sigma^2 / alpha^2 (T - 2 (1 - e^-aT) / alpha + (1 - e^-2aT) / (2 alpha)),    a = alpha,
 
-<<<<<<< HEAD
-the integral of an Ornstein-Uhlenbeck velocity that starts at a known value; without inertia, in a
-crowd of first order, q(T) = sigma^2 / alpha^2 T. Forces between sheep
-do not move their centre, whose coordinates have the variance q (c + (1 - c) / N) for N sheep
-that have the share c of the noise in common. The spread, the root mean square of N distances from
-the centre, then varies by about q / N, and its mean square grows by 2 q (1 - c) (1 - 1 / N).
-=======
 the integral of an Ornstein-Uhlenbeck velocity that starts at a known value. In a crowd of first
 order it diffuses, q(T) = sigma^2 / alpha^2 T. Forces between sheep do not move their centre, whose
 coordinates have the variance q (c + (1 - c) / N) for N sheep that have the share c of the noise in
 common. The spread, the root mean square of N distances from the centre, then varies by about
 q / N, and its mean square grows by 2 q (1 - c) (1 - 1 / N).
->>>>>>> crowds
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from herding_ros.control.parameters import OutOfStepError
 from herding_ros.control.pilot import Announcement, Decision, dog_name
 from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.control.solution import Status
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 from nav_msgs.msg import Path
@@ -223,7 +224,7 @@ class Controller(HerdingNode):
         self._goal.publish(messages.pose(goal, self._decided, self._settings.frame))
 
     def _publish_report(self, announcement: Announcement, ns: int) -> None:
-        """Say how a plan was found, and whether in time."""
+        """Say how a plan was found; it is a warning when it is late or moves no sheep."""
         plan, margin = announcement.plan, announcement.margin
         report = plan.window.report
         values = {
@@ -234,7 +235,8 @@ class Controller(HerdingNode):
             'deadline_margin_s': margin,
             'deadlines_missed': self._pilot.deadlines_missed,
         }
-        level = DiagnosticStatus.OK if margin >= 0.0 else DiagnosticStatus.WARN
+        good = margin >= 0.0 and report.status is not Status.NO_INFLUENCE
+        level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         self._diagnostics.publish(
             messages.diagnostics(self.status_name('plan'), ns, level, report.status.value, values)
         )

@@ -7,11 +7,12 @@ What the pilot decides is tested in test/control/test_pilot.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 import math
 import signal
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from herding_ros.control.parameters import Control, Horizon, Mapping, Weights
 from herding_ros.control.receding_horizon import RecedingHorizon
@@ -121,6 +122,18 @@ def test_lockstep_replies_with_the_plan_of_the_core_in_each_dogs_own_frame(
     late = peer.listen(MultiDOFJointTrajectory, 'plan', LATCHED)
     peer.spin_until(lambda: late)
     assert len(late[0].points) == 40
+
+
+def test_dogs_without_influence_are_a_warning(
+    start: Callable[..., Any], peer: Any, herd: HerdState
+) -> None:
+    start('controller', lockstep=True, dogs=2, goal='[1.0, 0.0]', **QUICK)
+    pasture = Pasture(peer, replace(herd, d=herd.d + 1000.0))
+    pasture.show(0)
+    peer.spin_until(lambda: pasture.said('controller: plan'))
+    statuses = [each for message in pasture.diagnostics for each in message.status]
+    (plan,) = (each for each in statuses if each.name == 'controller: plan')
+    assert (plan.message, plan.level) == ('no influence', DiagnosticStatus.WARN)
 
 
 def test_moved_goal_and_dynamic_parameters_reach_the_planner(

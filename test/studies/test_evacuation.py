@@ -12,14 +12,12 @@ from herding_ros.studies.task import Task
 from matplotlib.figure import Figure
 import pytest
 
-FAST = {'reference.speed': 0.05}
-
 
 def result_of(task: Task) -> dict[str, Any] | None:
-    """Return a made-up result: dogs take 60 s per dog, guides 30 s, fast ones 20 s."""
+    """Return a made-up result: dogs take 60 s per dog, guides 30 s."""
     given = task.parameters
     lead = given['policy'] == 'planner'
-    base = 60.0 if given.get('crowd') == 'cohesive' else 20.0 if given['settings'] else 30.0
+    base = 60.0 if given.get('crowd') == 'cohesive' else 30.0
     time = base / given['dogs'] + given['seed'] if lead else None
     return {
         'arrived': lead, 'time': time, 'duration': time or 400.0, 'max_spread': 0.3,
@@ -45,9 +43,8 @@ def test_page_distinguishes_guides_dogs_and_nobody(
     }
     assert medians['2', 'dogs'] == '31.0'
     assert medians['2', 'guides'] == '16.0'
-    assert medians['2', 'guides, reference.speed 0.05'] == '11.0'
     assert medians['0', 'nobody'] == 'never'
-    assert len(medians) == 3 * 5 + 1
+    assert len(medians) == 2 * 5 + 1
     assert [row.ours.split()[0] for row in section.rows] == [
         '31.0',
         '16.0',
@@ -65,14 +62,14 @@ def test_all_herd_the_same_crowds() -> None:
         rest = {key: value for key, value in task.parameters.items() if key != 'seed'}
         seeds.setdefault(json.dumps(rest), []).append(task.parameters['seed'])
     assert all(each == [0, 1, 2, 3] for each in seeds.values())
-    assert len(seeds) == 3 * 5 + 1
+    assert len(seeds) == 2 * 5 + 1
 
 
 def test_guides_start_ahead_and_are_followed() -> None:
     """The same flock in the same noise: one guide leads where one dog has only begun."""
     given: dict[str, Any] = {
         'sheep': 9, 'dogs': 1, 'sigma': 0.01, 'goal': [0.5, 0.5], 'seed': 1, 'time_limit': 40.0,
-        'stop': True, 'every': 10.0, 'settings': FAST,
+        'stop': True, 'every': 10.0, 'settings': {},
     }  # fmt: skip
     guide, dog = (
         EXPERIMENTS['herding']('planner', crowd=crowd, **given) for crowd in ('guided', 'cohesive')
