@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from .estimator import StateEstimator
 from .parameters import Control
 from .schedule import ScheduledPlan
-from .solution import NoTimeFor
+from .solution import NoTimeFor, Status
 from .surprise import is_surprising
 from .window import Window
 
@@ -236,6 +236,12 @@ class Pilot:
     def _announce(self, plan: ScheduledPlan, margin: float) -> Announcement:
         self.plans_made += 1
         self.feedbacks_made += plan.window.report.kind == 'feedback'
+        if plan.window.report.status is Status.NO_INFLUENCE:
+            self._say(
+                'warning',
+                'no influence: no sheep notices the dogs within the window; they go towards the '
+                'sheep, unless crowd.dog has no force or weights.beyond and weights.dogs are 0',
+            )
         return Announcement(plan, self.plans_made - 1, margin)
 
     def _record_failure(self, error: Exception) -> None:

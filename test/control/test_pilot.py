@@ -66,6 +66,7 @@ class FakePlanner:
         self.improved: list[tuple[float, HerdState]] = []
         self.error: Exception | None = None
         self.speed = 1e-3
+        self.report = REPORT
 
     def move_goal(self, goal: Array) -> None:
         self.goal = goal
@@ -94,7 +95,7 @@ class FakePlanner:
         centre = np.broadcast_to(flock.centre(x), (intervals + 1, 2))
         spread = np.full(intervals + 1, flock.spread(x))
         dogs = np.zeros((intervals + 1, *state.d.shape))
-        return Window(Plan(t, PERIOD, u), REPORT, PERIOD, centre, spread, dogs)
+        return Window(Plan(t, PERIOD, u), self.report, PERIOD, centre, spread, dogs)
 
 
 def seen(
@@ -207,6 +208,15 @@ def test_lockstep_plans_when_due_and_replies_each_time() -> None:
     assert numbers == [0, 1, 2]
     assert pilot.plans_made == 3
     assert not any(decision.events for decision in decisions)
+
+
+def test_a_plan_without_influence_is_said_once() -> None:
+    pilot, planner = lockstep()
+    planner.report = replace(REPORT, status=Status.NO_INFLUENCE)
+    events = [event for k in range(45) for event in pilot.decide(seen(0.1 * k)).events]
+    assert [event.level for event in events] == ['warning']
+    assert 'no influence' in events[0].text
+    assert pilot.plans_made == 3
 
 
 def test_lockstep_reply_is_that_of_the_real_planner() -> None:
