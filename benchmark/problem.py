@@ -14,6 +14,7 @@ from herding_ros.control.parameters import Control
 from herding_ros.control.reference import reference
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import mean_centre
+from herding_ros.model.flock import centre
 from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import GOAL, initial_herd
@@ -36,7 +37,7 @@ class Problem:
     """A flock, its dogs, a cost, and the control at which value and gradient are computed.
 
     The starting positions are those of the package's scenario, the cost has the controller's
-    default weights and reference, the control is random within the speed limit.
+    weights 3 and a reference at 0.025 m/s, the control is random within the speed limit.
     """
 
     sheep: int
@@ -60,10 +61,9 @@ class Problem:
     @cached_property
     def tracking(self) -> Tracking:
         """The cost of where the sheep are."""
-        control = Control()
         times = np.arange(self.steps + 1.0) * DT
-        target = reference(control.reference, self.coarse.state, np.array(GOAL), times)
-        return Tracking(control.weights.centre, control.weights.spread, target)
+        target = reference('attainable', 0.025, centre(self.coarse.state.x), np.array(GOAL), times)
+        return Tracking(3.0, 3.0, target)
 
     @cached_property
     def objective(self) -> Objective:

@@ -8,14 +8,15 @@ from dataclasses import replace
 
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
-from herding_ros.control.objective import Objective, weighted_costs
-from herding_ros.control.parameters import Control, Mapping
+from herding_ros.control.objective import Objective
+from herding_ros.control.parameters import Control, Mapping, Optimiser, Weights
 from herding_ros.control.plan import Plan
 from herding_ros.control.pqn import pqn
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.reference import reference
 from herding_ros.control.solution import Budget, Problem
 from herding_ros.control.spg import spg
+from herding_ros.control.task import Task
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.scenario import GOAL
 from herding_ros.model.simulation import Simulation, World
@@ -29,19 +30,26 @@ SPG_ITERATIONS, SPG_TOLERANCE = 60, 1e-2
 """Where SPG ends."""
 
 
+QUADRATIC = Control(
+    weights=Weights(centre=3.0, terminal=0.0, distance=0.0, beyond=0.0),
+    optimiser=Optimiser(rules=False),
+)
+"""The default controller with a cost that every peer can state: squares along the window."""
+
+
 class ReachedError(Exception):
     """The objective has reached the target."""
 
 
 class Race:
-    """The window of the default controller for 30 sheep and 5 dogs, on its finest time grid.
+    """The window of a controller (`QUADRATIC`) for 30 sheep and 5 dogs, on its finest time grid.
 
     played [s] of an earlier window's plan have been played, and its rest is the start; with 0
     dogs start at rest.
     """
 
     def __init__(self, seed: int, horizon: float, played: float = 0.0) -> None:
-        control = Control(mapping=Mapping(max_iterations=0))
+        control = replace(QUADRATIC, mapping=Mapping(max_iterations=0))
         shorter = replace(
             control.horizon, length=horizon, accepted=min(control.horizon.accepted, horizon / 2.0)
         )
@@ -66,10 +74,11 @@ class Race:
         self.objective, self.reference = self._objective(self.coarse)
 
     def _objective(self, coarse: CoarseModel) -> tuple[Objective, Array]:
-        weights, steps = self.control.weights, self.control.horizon.intervals * coarse.substeps
+        steps = self.control.horizon.intervals * coarse.substeps
         times = np.arange(steps + 1.0) * coarse.dt
-        target = reference(self.control.reference, coarse.state, self.goal, times)
-        costs = [*weighted_costs(weights, target), ControlEffort(weights.control)]
+        task = Task.of(self.control, coarse, self.goal)
+        costs = [*task.costs(times), ControlEffort(self.control.weights.control)]
+        target = reference('attainable', task.speed, task.start, self.goal, times)
         return Objective(costs), target
 
     def on_control_grid(self) -> tuple[CoarseModel, Objective]:
@@ -113,6 +122,6 @@ class Race:
         return self.run(lambda: pqn(self.problem(), self.start, Budget(1000)))
 
     def planned(self) -> Array:
-        """Return the plan of the default controller, made on both time grids, from rest."""
+        """Return the plan of the controller, made on both time grids, from rest."""
         planner = RecedingHorizon(self.coarse.crowd, self.control, self.goal)
         return planner.solve(self.coarse.state, 0.0).plan.u

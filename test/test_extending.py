@@ -57,7 +57,7 @@ def gradient_order(coarse: CoarseModel, u: Array, largest: float) -> float:
     and large against round-off.
     """
     steps = largest * 2.0 ** -np.arange(4.0)
-    costs = weighted_costs(Weights(), np.ones((len(u) * coarse.substeps + 1, 2)))
+    costs = weighted_costs(Weights(), np.ones((len(u) * coarse.substeps + 1, 2)), 0.05)
     objective, w = Objective(costs), np.random.default_rng(2).normal(size=u.shape)
     value, gradient = coarse.value_and_gradient(objective, u)
     there = [coarse.value_and_gradient(objective, u + h * w)[0] for h in steps]

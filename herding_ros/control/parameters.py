@@ -13,11 +13,11 @@ from herding_ros.model.parameters import Parameters, quantity, TINY
 class Weights(Parameters):
     """What the cost weighs; the paper's are centre 1, spread 1, control 1e-2, and 0."""
 
-    distance: float = quantity(
-        1.0, "weight of the centre's distance from its reference", 'm', low=0.0, live=True
-    )
     centre: float = quantity(
-        0.0, "weight of half that distance's square, as in the paper", low=0.0, live=True
+        0.0,
+        "weight of half the square of the centre's distance from its reference",
+        low=0.0,
+        live=True,
     )
     spread: float = quantity(
         3.0, "weight of the sheep's distance from their centre", low=0.0, live=True
@@ -26,12 +26,6 @@ class Weights(Parameters):
     dogs: float = quantity(
         3e-3,
         "weight of each dog's distance from the reference; keeps dogs from running off",
-        low=0.0,
-        live=True,
-    )
-    beyond: float = quantity(
-        1.0,
-        'weight of what lies beyond the window: the time that dogs need to get behind strays',
         low=0.0,
         live=True,
     )
@@ -51,6 +45,15 @@ class Weights(Parameters):
         live=True,
     )
     radius: float = quantity(0.6, 'radius of that disc', 'm', low=0.0, live=True)
+    distance: float = quantity(
+        1.0, "weight of the centre's distance from its reference", 'm', low=0.0, live=True
+    )
+    beyond: float = quantity(
+        1.0,
+        'weight of what lies beyond the window: the time that dogs need to get behind strays',
+        low=0.0,
+        live=True,
+    )
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,10 @@ is kept: in a feedback the flock is expected where the coarse model has it plus 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 import itertools
-import math
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
@@ -73,14 +72,12 @@ class _Planned:
 class _Coarse:
     """What the coarse solve has found, on the finest time grid.
 
-    costs: control effort apart; value: of a control; best_rule: that of the cheapest rule's plan,
-    infinite without rules.
+    costs: control effort apart; fetches: whether dogs have strays to fetch.
     """
 
     solution: Solution
     costs: list[Cost]
-    value: Callable[[Array], float]
-    best_rule: float
+    fetches: bool
 
 
 @dataclass
@@ -151,7 +148,8 @@ class RecedingHorizon:
             target = centre(coarse.rollout(solution.u).x)
         expected: list[Expectation] = []
         extraction_calls = 0
-        if not control.mapping.max_iterations:
+        if not control.mapping.max_iterations or found.fetches:
+            # While strays are fetched it is not the centre that counts.
             mapping = MappingResult(solution.u, target, Status.CONVERGED)
         elif no_time_for(FINE):
             mapping = MappingResult(solution.u, target, Status.OUT_OF_TIME)
@@ -177,14 +175,6 @@ class RecedingHorizon:
             problem = MappingProblem(clock.timing('fine', fine), misfit, solution.u)
             mapping = self._map(problem, extraction, coarse, clock, no_time_for)
             extraction_calls = extraction.calls
-            if found.value(mapping.u) > found.best_rule:  # it looks at the centre alone
-                mapping = MappingResult(
-                    solution.u,
-                    expected[0].centre,
-                    Status.NO_DESCENT,
-                    mapping.residuals[:1],
-                    mapping.misfits[:1],
-                )
         with clock.phase('coarse'):
             predicted = coarse.rollout(mapping.u)
         plan = Plan(t, horizon.control_period, mapping.u)
@@ -291,8 +281,8 @@ class RecedingHorizon:
         hurried = solution.status is Status.OUT_OF_TIME
         if not hurried and self._is_without_influence(coarse, solution.u, task):
             solution = replace(solution, status=Status.NO_INFLUENCE)
-        best_rule = min((each for rule, each in values.items() if rule in RULES), default=math.inf)
-        return _Coarse(solution, costs, value, best_rule)
+        fetches = task.errands is not None and len(task.errands.dogs) > 0
+        return _Coarse(solution, costs, fetches)
 
     def _played_on(self, t: float, dogs: int) -> Array:
         """Return the control (intervals, M, 2) of the plan that is played at t [s], continued."""

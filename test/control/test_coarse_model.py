@@ -46,7 +46,7 @@ def problem(random_herd: HerdMaker) -> Callable[..., Problem]:
         )
         reference = rng.normal(0.0, 1.0, (intervals * substeps + 1, 2))
         effort = ControlEffort(weights.control, rng.normal(0.0, 0.05, shape))
-        objective = Objective([*weighted_costs(weights, reference), effort])
+        objective = Objective([*weighted_costs(weights, reference, 0.05), effort])
         return coarse, objective, rng.normal(0.0, 0.05, shape)
 
     return make
