@@ -83,7 +83,7 @@ class Race:
 
     def on_control_grid(self) -> tuple[CoarseModel, Objective]:
         """Return model and objective with one time step for each control."""
-        coarse = replace(self.coarse, dt=self.coarse.interval, substeps=1)
+        coarse = self.coarse.on_grid(1)
         return coarse, self._objective(coarse)[0]
 
     def value_and_gradient(self, u: Array) -> tuple[float, Array]:

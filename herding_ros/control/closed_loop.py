@@ -15,7 +15,7 @@ import numpy as np
 from .costs.cost import Cost
 from .lockstep_pilot import LockstepPilot
 from .parameters import check_lockstep, Control
-from .pilot import Observed, Planner
+from .pilot import Decision, Observed, Planner
 from .receding_horizon import RecedingHorizon
 from .solve_report import SolveReport
 
@@ -71,7 +71,17 @@ class ClosedLoopRun:
 
 
 def as_policy(pilot: LockstepPilot, reports: list[SolveReport]) -> Policy:
-    """Return a pilot as a policy that appends the report of each plan to `reports`.
+    """Return a pilot as a policy that appends the report of each plan to `reports`."""
+
+    def keep(decision: Decision, t: float) -> None:
+        if decision.announcement is not None:
+            reports.append(decision.announcement.plan.window.report)
+
+    return watched(pilot, keep)
+
+
+def watched(pilot: LockstepPilot, watch: Callable[[Decision, float], None]) -> Policy:
+    """Return a pilot as a policy that shows each decision and its time [s] to `watch`.
 
     Where the pilot of a node counts a plan that could not be made and goes on, this raises the
     error.
@@ -81,8 +91,7 @@ def as_policy(pilot: LockstepPilot, reports: list[SolveReport]) -> Policy:
         decision = pilot.decide(Observed.complete(t, observed))
         if decision.error is not None:
             raise decision.error
-        if decision.announcement is not None:
-            reports.append(decision.announcement.plan.window.report)
+        watch(decision, t)
         assert decision.command is not None  # in lockstep there always is one
         return decision.command
 

@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from herding_ros.model.linear_algebra import times
-from herding_ros.model.quadratic import advance, hessian_times, smoothed
+from herding_ros.model.linear_algebra import advance, hessian_times, smoothed, times
 from herding_ros.model.state import Array
 import numpy as np
 
@@ -22,8 +21,8 @@ class Hessian:
     """A positive definite Hessian B from the last ten steps, as in L-BFGS.
 
     Begun, instead of from a multiple of the identity, from B_0 = theta (S + MU) of
-    `herding_ros.model.quadratic`, with the theta that fits the last step. In the compact form of
-    Byrd, Nocedal and Schnabel (1994), with the steps s_i and the changes y_i of the gradient,
+    `herding_ros.model.linear_algebra`, with the theta that fits the last step. In the compact form
+    of Byrd, Nocedal and Schnabel (1994), with the steps s_i and the changes y_i of the gradient,
 
         B = B_0 - W^T [G, L; L^T, -D]^-1 W,   W = [s_i B_0; y_i],
 

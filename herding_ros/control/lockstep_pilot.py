@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from .parameters import check_lockstep
-from .pilot import Announcement, Condition, Decision, Observed, Pilot, Planner, SLACK
+from .pilot import Announcement, Condition, Decision, Observed, Pilot, Planner
+from .plan import SLACK
 from .schedule import Request, ScheduledPlan
 
 

@@ -21,13 +21,11 @@ from numpy.typing import NDArray
 
 from .estimator import StateEstimator
 from .parameters import Control
+from .plan import SLACK
 from .schedule import ScheduledPlan
 from .solution import NoTimeFor, Status
 from .surprise import is_surprising
 from .window import Window
-
-SLACK = 1e-6
-"""Seconds since 1970 in double precision are exact to 2.4e-7 s."""
 
 _REPEAT = 30.0
 """Time after which an event is reported again that has occurred again [s]."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from herding_ros.model.state import Array, finite
 import numpy as np
 
-_SLACK = 1e-6
+SLACK = 1e-6
 """An instant this little before an interval counts as its start [s].
 
 Seconds since 1970 in double precision are exact to 2.4e-7 s.
@@ -37,7 +37,7 @@ class Plan:
 
     def index(self, t: float) -> int:
         """Return the number of the interval that holds t [s]; negative before the start."""
-        return int(np.floor((t - self.t0 + _SLACK) / self.dt))
+        return int(np.floor((t - self.t0 + SLACK) / self.dt))
 
     def at(self, t: float) -> Array:
         """Velocities (M, 2) [m/s] at time t [s]; zero before the start and after the end."""

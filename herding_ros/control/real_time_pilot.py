@@ -21,8 +21,8 @@ from .pilot import (
     Observed,
     Pilot,
     Planner,
-    SLACK,
 )
+from .plan import SLACK
 from .schedule import Request, Schedule, ScheduledPlan
 from .solution import NoTimeFor
 from .window import Window

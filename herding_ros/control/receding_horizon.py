@@ -19,7 +19,7 @@ from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre, spread
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.sampling import ESTIMATORS, FineModel
-from herding_ros.model.state import Array, finite, HerdState
+from herding_ros.model.state import Array, finite, HerdState, Trajectory
 import numpy as np
 
 from .coarse_model import CoarseModel
@@ -30,7 +30,7 @@ from .ncg import ncg
 from .objective import Objective
 from .parameter_extraction import ParameterExtraction
 from .parameters import Control
-from .plan import Plan
+from .plan import Plan, SLACK
 from .pqn import pqn
 from .solution import Budget, never, NoTimeFor, Problem, Projection, Solution, Status
 from .solve_report import SolveReport, Stopwatch
@@ -52,9 +52,6 @@ OPTIMISERS = {'pqn': pqn, 'spg': spg, 'ncg': ncg}
 _NO_INFLUENCE = 1e-3
 """Sheep that dogs move by less than this part of the standoff are not influenced."""
 
-_SLACK = 1e-6
-"""Seconds since 1970 in double precision are exact to 2.4e-7 s."""
-
 
 @dataclass(frozen=True)
 class _Planned:
@@ -72,10 +69,11 @@ class _Planned:
 class _Coarse:
     """What the coarse solve has found, on the finest time grid.
 
-    costs: control effort apart; fetches: whether dogs have strays to fetch.
+    predicted: under it; costs: control effort apart; fetches: whether dogs have strays to fetch.
     """
 
     solution: Solution
+    predicted: Trajectory
     costs: list[Cost]
     fetches: bool
 
@@ -145,7 +143,7 @@ class RecedingHorizon:
         with clock.phase('coarse'):
             found = self._solve_coarse(coarse, t, budget)
             solution = found.solution
-            target = centre(coarse.rollout(solution.u).x)
+            target = centre(found.predicted.x)
         expected: list[Expectation] = []
         extraction_calls = 0
         if not control.mapping.max_iterations or found.fetches:
@@ -180,7 +178,7 @@ class RecedingHorizon:
         plan = Plan(t, horizon.control_period, mapping.u)
         defect = mapping.output - centre(predicted.x)
         # It may be planned ahead: until it starts, what was planned before is played.
-        played = [each for each in self._planned if each.plan.end > t + _SLACK]
+        played = [each for each in self._planned if each.plan.end > t + SLACK]
         self._planned = _in_order([*played, _Planned(plan, defect[:: horizon.substeps])])
         report = SolveReport.of(
             'window', solution, mapping, expected, extraction_calls, clock.seconds()
@@ -207,8 +205,8 @@ class RecedingHorizon:
             defect = last.defect
         rule = next(self._turns)  # all of them would take too long
         with clock.phase('coarse'):
-            solution = self._solve_coarse(coarse, t, budget, defect, [rule]).solution
-            predicted = coarse.rollout(solution.u)
+            found = self._solve_coarse(coarse, t, budget, defect, [rule])
+        solution, predicted = found.solution, found.predicted
         expected: list[Expectation] = []
         if corrects and not no_time_for(FINE):
             with clock.phase('fine'):
@@ -216,7 +214,7 @@ class RecedingHorizon:
             defect = expected[0].centre[:: horizon.substeps] - centre(predicted.x)
         expected_centre = centre(predicted.x) + defect
         plan = Plan(t, horizon.control_period, solution.u)
-        waiting = [each for each in self._planned if each.plan.t0 > t + _SLACK]
+        waiting = [each for each in self._planned if each.plan.t0 > t + SLACK]
         self._planned = _in_order([_Planned(plan, defect), *waiting])
         mapping = MappingResult(solution.u, expected_centre, Status.CONVERGED)
         report = SolveReport.of('feedback', solution, mapping, expected, 0, clock.seconds())
@@ -226,7 +224,7 @@ class RecedingHorizon:
 
     def _playing(self, t: float) -> _Planned | None:
         """Return the plan that is played at t [s]: of those that have begun, the last."""
-        begun = [each for each in self._planned if each.plan.t0 <= t + _SLACK]
+        begun = [each for each in self._planned if each.plan.t0 <= t + SLACK]
         return begun[-1] if begun else None
 
     def _solve_coarse(
@@ -278,11 +276,12 @@ class RecedingHorizon:
             iterations=sum(each.iterations for each in solutions),
             calls=sum(each.calls for each in solutions),
         )
+        predicted = coarse.rollout(solution.u)
         hurried = solution.status is Status.OUT_OF_TIME
-        if not hurried and self._is_without_influence(coarse, solution.u, task):
+        if not hurried and self._is_without_influence(coarse, predicted, task):
             solution = replace(solution, status=Status.NO_INFLUENCE)
         fetches = task.errands is not None and len(task.errands.dogs) > 0
-        return _Coarse(solution, costs, fetches)
+        return _Coarse(solution, predicted, costs, fetches)
 
     def _played_on(self, t: float, dogs: int) -> Array:
         """Return the control (intervals, M, 2) of the plan that is played at t [s], continued."""
@@ -290,14 +289,16 @@ class RecedingHorizon:
         last = self._playing(t)
         return last.plan.shifted(t).u if last is not None and last.plan.u.shape == u.shape else u
 
-    def _is_without_influence(self, coarse: CoarseModel, u: Array, task: Task) -> bool:
+    def _is_without_influence(
+        self, coarse: CoarseModel, predicted: Trajectory, task: Task
+    ) -> bool:
         """Whether sheep that are not home go as they would if the dogs stood."""
         if task.reach is None:
             return True
-        model = coarse.on_grid(1)
         if float(np.linalg.norm(task.start - self.goal)) <= task.reach.standoff:
             return False
-        moved = model.rollout(u).x[-1] - model.rollout(np.zeros_like(u)).x[-1]
+        stand = np.zeros((self.control.horizon.intervals, len(coarse.state.d), 2))
+        moved = predicted.x[-1] - coarse.rollout(stand).x[-1]
         return float(np.abs(moved).max()) < _NO_INFLUENCE * task.reach.standoff
 
     def _admissible(self, u: Array) -> Array:

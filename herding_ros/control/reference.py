@@ -13,17 +13,20 @@ from .reach import Reach
 from .rules.collect_and_drive import drivers
 
 
-def pace(crowd: Crowd, state: HerdState, goal: Array, max_speed: float) -> float:
+def pace(
+    crowd: Crowd, reach: Reach | None, state: HerdState, goal: Array, max_speed: float
+) -> float:
     """Return the speed [m/s] at which the dogs can drive the flock to a goal (2,) [m].
 
     It is that at which friction balances their force on the centre while they stand side by side
-    behind the flock (ahead of it, if they attract), and at most max_speed, their own:
+    behind the flock (ahead of it, if they attract), and at most max_speed, their own; reach is
+    that of the crowd:
 
         v = min(u_max, |e . 1/N sum_i sum_m -grad P_2(x_i - p_m)| / alpha)
 
     with e the direction to the goal and p_m the posts of `drivers`.
     """
-    reach, x, offset = Reach.of(crowd), state.x, goal - centre(state.x)
+    x, offset = state.x, goal - centre(state.x)
     length = float(np.linalg.norm(offset))
     if reach is None or not length:
         return max_speed

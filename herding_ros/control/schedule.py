@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from herding_ros.model.state import Array
 import numpy as np
 
+from .plan import SLACK
 from .window import Window
-
-_SLACK = 1e-6
-"""Starts are the same that differ by less [s]: they are sums of control periods."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Schedule:
 
     def add(self, plan: ScheduledPlan) -> None:
         """Play a plan from its start on; of two with the same start, the one added last."""
-        k = sum(each.start <= plan.start + _SLACK for each in self._plans)
+        k = sum(each.start <= plan.start + SLACK for each in self._plans)
         self._plans.insert(k, plan)
 
     @property
@@ -75,7 +73,7 @@ class Schedule:
 
     def playing(self, t: float) -> ScheduledPlan | None:
         """Return the plan that is played at t [s]; None before the first."""
-        begun = [plan for plan in self._plans if plan.start <= t + _SLACK]
+        begun = [plan for plan in self._plans if plan.start <= t + SLACK]
         return begun[-1] if begun else None
 
     def forget_before(self, t: float) -> None:

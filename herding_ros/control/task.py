@@ -59,7 +59,7 @@ class Task:
         """Return the task in the state of a model; goal (2,) [m]."""
         crowd, state, reach = model.crowd, model.state, Reach.of(model.crowd)
         attainable = control.reference.kind == 'attainable'
-        speed = pace(crowd, state, goal, control.max_speed) if attainable else 0.0
+        speed = pace(crowd, reach, state, goal, control.max_speed) if attainable else 0.0
         errands, weight = None, control.weights.spread
         if reach is not None and reach.repels and control.weights.beyond:
             errands = Errands.of(reach, state, goal)

@@ -11,11 +11,10 @@ import numpy as np
 from . import kernels
 from .crowd import Crowd, CROWDS
 from .dynamics import physics, reverse_sweep, rollout, to_lanes
-from .linear_algebra import times, transposed_times
+from .linear_algebra import advance, hessian_times, smoothed, times, transposed_times
 from .motion import Holonomic
 from .particle_mesh import ParticleMesh
 from .potentials import Mollified, Morse
-from .quadratic import advance, hessian_times, smoothed
 from .sampling import FineModel, free, Resolution
 from .state import HerdState
 from .tracking_cost import tracking_cost

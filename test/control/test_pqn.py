@@ -11,8 +11,8 @@ from herding_ros.control.objective import Objective
 from herding_ros.control.pqn import pqn
 from herding_ros.control.solution import Budget, Problem, Status
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.linear_algebra import MU, smoothed
 from herding_ros.model.motion import Holonomic
-from herding_ros.model.quadratic import MU, smoothed
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import Array
 import numpy as np

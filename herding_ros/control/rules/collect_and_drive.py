@@ -8,10 +8,7 @@ from herding_ros.model.flock import centre, spread
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
-from .rule import nearest_posts
-
-_SIDE_BY_SIDE = 0.45
-"""Angle between neighbouring drivers, seen from the flock's centre [rad]."""
+from .rule import behind, nearest_posts
 
 
 class CollectAndDrive:
@@ -24,8 +21,8 @@ class CollectAndDrive:
         posts[errands.dogs] = behind_each(state.x[errands.sheep], place, errands.standoff)
         idle = np.setdiff1d(np.arange(len(posts)), errands.dogs)
         if len(idle):
-            behind = drivers(state.x[errands.together], goal, len(idle), errands.standoff)
-            posts[idle] = nearest_posts(state.dogs[idle], behind)
+            driving = drivers(state.x[errands.together], goal, len(idle), errands.standoff)
+            posts[idle] = nearest_posts(state.dogs[idle], driving)
         return posts
 
 
@@ -37,6 +34,4 @@ def drivers(x: Array, goal: Array, dogs: int, standoff: float) -> Array:
     if not len(x):
         return np.tile(goal, (dogs, 1))
     middle, radius = centre(x), np.sqrt(2.0) * float(spread(x)) + standoff
-    back = np.arctan2(*(middle - goal)[::-1])
-    angles = back + _SIDE_BY_SIDE * (np.arange(dogs) - 0.5 * (dogs - 1))
-    return middle + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return behind(middle, radius, goal, dogs)

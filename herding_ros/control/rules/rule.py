@@ -14,6 +14,9 @@ from herding_ros.model.state import Array, HerdState
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+SIDE_BY_SIDE = 0.45
+"""Angle between neighbouring drivers, seen from the flock's centre [rad]."""
+
 _DECISIONS = 10
 """Number of times in a window at which a rule decides anew."""
 
@@ -46,6 +49,22 @@ def rule_plan(
         chunks.append(model.motion.project(u, max_speed))
         state = replace(model, state=state).rollout(chunks[-1]).at(-1)
     return np.concatenate(chunks)
+
+
+def behind(
+    middle: Array, radius: float, goal: Array, dogs: int, spacing: float = SIDE_BY_SIDE
+) -> Array:
+    """Return posts (dogs, 2) [m] on a circle around a flock's middle on the way to a goal (2,).
+
+    They are side by side, `spacing` [rad] apart, on the side away from the goal.
+    """
+    back = np.arctan2(*(middle - goal)[::-1])
+    return on_circle(middle, radius, back + spacing * (np.arange(dogs) - 0.5 * (dogs - 1)))
+
+
+def on_circle(middle: Array, radius: float, angles: Array) -> Array:
+    """Return points (n, 2) [m] on a circle at these angles (n,) [rad]."""
+    return middle + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def nearest_posts(d: Array, posts: Array) -> Array:

@@ -8,7 +8,7 @@ from herding_ros.model.flock import centre
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
-from .rule import nearest_posts
+from .rule import nearest_posts, on_circle
 
 
 class Surround:
@@ -20,5 +20,4 @@ class Surround:
         radius = float(np.linalg.norm(state.x - middle, axis=1).max()) + errands.standoff
         back = np.arctan2(*(middle - goal)[::-1])
         angles = back + 2.0 * np.pi * np.arange(dogs) / dogs
-        around = middle + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        return nearest_posts(state.dogs, around)
+        return nearest_posts(state.dogs, on_circle(middle, radius, angles))

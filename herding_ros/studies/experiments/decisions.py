@@ -7,17 +7,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from herding_ros.control.closed_loop import play
+from herding_ros.control.closed_loop import play, watched
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control
-from herding_ros.control.pilot import Decision, Observed
+from herding_ros.control.pilot import Decision
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.task import RULES, Task
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
-from herding_ros.model.state import Array, HerdState
 from herding_ros.model.warmup import warm_up
 import numpy as np
 
@@ -41,15 +40,7 @@ class _Herd:
 
     def play(self, time_limit: float, watch: Callable[[Decision, float], None]) -> dict[str, Any]:
         """Herd for time_limit [s], showing each decision and its time [s]; return the course."""
-
-        def policy(observed: HerdState, t: float) -> Array:
-            decision = self._pilot.decide(Observed.complete(t, observed))
-            if decision.error is not None:
-                raise decision.error
-            watch(decision, t)
-            assert decision.command is not None
-            return decision.command
-
+        policy = watched(self._pilot, watch)
         return course(play(self.simulation, policy, time_limit, stop=False), self.goal, 1)
 
 

@@ -23,10 +23,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from herding_ros.control.errands import behind_each
+from herding_ros.control.rules.rule import behind, nearest_posts, SIDE_BY_SIDE
 from herding_ros.model.flock import centre
 from herding_ros.model.state import Array, HerdState
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 
 @dataclass
@@ -43,14 +44,12 @@ class Strombom:
     sheep_distance: float = 0.2
     slow: float = 0.4
     noise: float = 0.3
-    arc: float = 0.45
+    arc: float = SIDE_BY_SIDE
 
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the dogs' velocities (M, 2) [m/s]."""
         posts = self.posts(observed.x, len(observed.d))
-        distances = np.linalg.norm(observed.d[:, None] - posts, axis=-1)
-        _, taken = linear_sum_assignment(distances)
-        offset = posts[taken] - observed.d
+        offset = nearest_posts(observed.d, posts) - observed.d
         left = np.linalg.norm(offset, axis=1, keepdims=True)
         angle = self.rng.uniform(0.0, 2.0 * np.pi, len(offset))
         heading = unit(offset) + self.noise * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -65,11 +64,8 @@ class Strombom:
         away = np.linalg.norm(x - middle, axis=1)
         strays = [i for i in np.argsort(-away, kind='stable') if away[i] > r * n ** (2.0 / 3.0)]
         strays = strays[:dogs]
-        collect = x[strays] + r * unit(x[strays] - middle)
-        drivers = dogs - len(strays)
-        back = np.arctan2(*(middle - self.goal)[::-1])
-        angles = back + self.arc * (np.arange(drivers) - 0.5 * (drivers - 1))
-        drive = middle + r * np.sqrt(n) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        collect = behind_each(x[strays], middle, r)
+        drive = behind(middle, r * np.sqrt(n), self.goal, dogs - len(strays), self.arc)
         return np.concatenate([collect, drive])
 
 
