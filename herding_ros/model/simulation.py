@@ -11,7 +11,7 @@ from .crowd import Crowd
 from .flock import Arrival, arrived, spread, without_strays
 from .motion import Holonomic, MotionModel
 from .parameters import Parameters, quantity, TINY
-from .scenario import DOG_RADIUS, initial_herd, MOST_DOGS, MOST_SHEEP
+from .scenario import initial_herd, MOST_DOGS, MOST_SHEEP, Start
 from .state import Array, HerdState
 
 
@@ -32,6 +32,7 @@ class World(Parameters):
     )
     max_speed: float = quantity(5e-2, 'a dog runs no faster than this', 'm/s', low=TINY)
     motion: MotionModel = Holonomic()
+    start: Start = Start()
     arrival: Arrival = Arrival()
 
     def __post_init__(self) -> None:
@@ -78,9 +79,11 @@ class Simulation:
         self.world = world
         self.goal = goal
         flock = np.random.default_rng(world.seed)
-        attract = bool(crowd.dog.derivative(np.array([DOG_RADIUS])) > 0.0)
-        herd = initial_herd(world.sheep, world.dogs, goal, flock, ahead=attract)
-        facing = np.arctan2(-herd.d[:, 1], -herd.d[:, 0])  # the flock, from their places around it
+        start = world.start
+        attract = bool(crowd.dog.derivative(np.array([start.dog_radius])) > 0.0)
+        herd = initial_herd(world.sheep, world.dogs, goal, flock, attract, start)
+        to_flock = start.centre - herd.d
+        facing = np.arctan2(to_flock[:, 1], to_flock[:, 0])
         dogs = world.motion.state(herd.d, facing, np.zeros_like(herd.d))
         self.state = replace(herd, d=dogs)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
