@@ -9,9 +9,17 @@ conversions are exact, and the bits are equal.
 from dataclasses import replace
 
 from herding_ros.control.closed_loop import closed_loop, ClosedLoopRun
-from herding_ros.control.parameters import Control, Horizon, Mapping, PAPER, Sensor
+from herding_ros.control.parameters import (
+    Control,
+    CONTROLS,
+    Horizon,
+    Mapping,
+    PAPER,
+    Sensor,
+)
+from herding_ros.control.scale import Scale
 from herding_ros.model.crowd import Crowd, CROWDS
-from herding_ros.model.potentials import PowerLaw
+from herding_ros.model.potentials import Morse, PowerLaw
 from herding_ros.model.simulation import World
 import numpy as np
 import pytest
@@ -111,3 +119,45 @@ def test_whole_runs_take_as_long_and_as_much_work_in_any_world() -> None:
     assert there.t[-1] == pytest.approx(here.t[-1], abs=0.5)
     iterations = [sum(each.optimiser_iterations for each in run.reports) for run in (here, there)]
     assert iterations[1] == pytest.approx(iterations[0], rel=0.1)
+
+
+@pytest.mark.parametrize('crowd', CROWDS.values(), ids=CROWDS)
+@pytest.mark.parametrize(('length', 'time'), [(64.0, 1.0 / 32.0), (0.25, 8.0)])
+def test_scale_follows_crowd_and_dogs_by_powers_of_two(
+    crowd: Crowd, length: float, time: float
+) -> None:
+    here = Scale.of(crowd, 0.05)
+    there = Scale.of(crowd.rescaled(length, time), 0.05 * length / time)
+    assert there == Scale(length * here.length, time * here.time)
+
+
+def test_scale_of_the_reference_scenario_leaves_all_defaults() -> None:
+    for crowd in (Crowd(), Crowd(noise=0.03), Crowd(sheep=PowerLaw())):
+        scale = Scale.of(crowd, 0.05)
+        assert scale == Scale(1.0, 1.0)
+        for defaults in (*CONTROLS.values(), World()):
+            assert scale.apply(defaults) == defaults
+
+
+def test_times_follow_dogs_and_sheep_alike() -> None:
+    """Dogs sixteen times as fast, and sheep that follow as much more slowly."""
+    assert Scale.of(Crowd(), 16.0 * 0.05).time == 1.0 / 4.0
+    assert Scale.of(Crowd(friction=0.5 / 16.0), 0.05).time == 4.0
+    assert Scale.of(Crowd(friction=0.0), 16.0 * 0.05).time == 1.0 / 16.0
+
+
+def test_crowd_that_notices_no_dogs_has_the_scale_of_the_reference() -> None:
+    indifferent = Crowd(dog=Morse(0.0, 0.5, 0.0, 2.0))
+    assert Scale.of(indifferent, 4.0) == Scale(1.0, 1.0)
+
+
+@pytest.mark.statistics
+def test_field_is_herded_with_nothing_but_crowd_speed_and_goal() -> None:
+    """And in less time than with a window of the reference scenario, which took 42 s."""
+    crowd = Crowd().rescaled(20.0, 1.0)
+    scale = Scale.of(crowd, 4.0)
+    control = replace(scale.apply(Control()), max_speed=4.0)
+    world = replace(scale.apply(replace(REFERENCE, seed=0)), max_speed=4.0)
+    assert control.horizon.length == 20.0 * scale.time
+    run = closed_loop(crowd, world, control, np.array([10.0, 10.0]), 40.0)
+    assert run.arrived
