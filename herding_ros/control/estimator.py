@@ -25,15 +25,6 @@ from numpy.typing import NDArray
 
 from .parameters import Sensor
 
-_LEAST_NOISE = 0.005
-"""Least random force on sheep that the filter expects [m/s^1.5], for errors of the model.
-
-Without any it would soon ignore observations.
-"""
-
-_SLIP = 0.01
-"""Standard deviation of a dog from where its commands lead, after a second [m/s^0.5]."""
-
 _FAR = 6.0
 """An observation this many standard deviations from its prediction is an outlier."""
 
@@ -147,7 +138,7 @@ class StateEstimator:
         _check_names(names, observed.d, 'dogs')
         if names.min() < 0 or names.max() >= len(u):
             raise ValueError(f'dogs must be rows of u, 0 to {len(u) - 1}, got {names.tolist()}')
-        if self.sensor == Sensor():
+        if not (self.sensor.position_noise or self.sensor.velocity_noise):
             return observed
         new = self._first(t, np.asarray(ids), names, observed)
         if self._estimate is not None:
@@ -162,7 +153,7 @@ class StateEstimator:
 
     def _force(self, t: float, x: Array) -> Array:
         """Return the strength of the random force on sheep at x [m/s^1.5], (n,) or ()."""
-        return np.maximum(strength(self.crowd, t, x), _LEAST_NOISE)
+        return np.maximum(strength(self.crowd, t, x), self.sensor.model_noise)
 
     @property
     def _variances(self) -> tuple[float, float]:
@@ -212,7 +203,7 @@ class StateEstimator:
         covariance = before.sheep.covariance
         for _ in range(steps):
             covariance = step @ covariance @ np.swapaxes(step, -1, -2) + force
-        slipped = before.dogs.covariance + _SLIP**2 * elapsed
+        slipped = before.dogs.covariance + self.sensor.slip**2 * elapsed
         return replace(
             before,
             sheep=replace(

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 import itertools
+import math
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
@@ -52,6 +53,9 @@ OPTIMISERS = {'pqn': pqn, 'spg': spg, 'ncg': ncg}
 
 _NO_INFLUENCE = 1e-3
 """Sheep that dogs move by less than this part of the standoff are not influenced."""
+
+_EXTRACTION_TOLERANCE = 4.5e-4
+"""Shortest step of parameter extraction that counts, as a part of full speed all along."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,7 @@ class RecedingHorizon:
         coarse = self.coarse_model(state)
         budget = Budget(
             control.optimiser.max_iterations,
-            control.optimiser.tolerance,
+            control.optimiser.tolerance_of_method,
             partial(no_time_for, 'coarse'),
         )
         with clock.phase('coarse'):
@@ -168,6 +172,7 @@ class RecedingHorizon:
                 control.weights.control,
                 found.costs,
                 out_of_time,
+                _EXTRACTION_TOLERANCE * control.max_speed * math.sqrt(horizon.length),
             )
             expectation = self._expectation(state, t)
 
@@ -210,7 +215,9 @@ class RecedingHorizon:
         coarse = self.coarse_model(state)
         coarse = coarse.on_grid(1)
         budget = Budget(
-            optimiser.feedback_iterations, optimiser.tolerance, partial(no_time_for, 'coarse')
+            optimiser.feedback_iterations,
+            optimiser.tolerance_of_method,
+            partial(no_time_for, 'coarse'),
         )
         last = self._playing(t)
         defect: Array = np.zeros((horizon.intervals + 1, 2))
@@ -292,6 +299,7 @@ class RecedingHorizon:
                 self._admissible,
                 model.inner,
                 self.control.max_speed,
+                control_effort.step,
                 hessian,
             )
             minimise = OPTIMISERS[optimiser.method]
@@ -342,7 +350,6 @@ class RecedingHorizon:
     ) -> MappingResult:
         """Correct the coarse optimum for the noise."""
         mapping = self.control.mapping
-        budget = Budget(mapping.max_iterations, mapping.tolerance)
         if mapping.method == 'output':
             in_norm = mapping.tolerance * np.sqrt(self.control.horizon.length)
             return output_mapping(
@@ -350,7 +357,7 @@ class RecedingHorizon:
                 extraction.centre,
                 clock.timing('extraction', extraction.near),
                 self.control.weights.control,
-                replace(budget, tolerance=in_norm),
+                Budget(mapping.max_iterations, in_norm),
                 no_time_for,
             )
         return aggressive_mapping(
@@ -358,8 +365,8 @@ class RecedingHorizon:
             clock.timing('extraction', extraction.extract),
             self._admissible,
             coarse.inner,
-            budget,
-            MIN_DECREASE if mapping.tolerance else -np.inf,
+            Budget(mapping.max_iterations, mapping.residual),
+            MIN_DECREASE if mapping.residual else -np.inf,
             no_time_for=no_time_for,
         )
 

@@ -137,7 +137,9 @@ def test_error_of_the_coarse_plan_is_that_of_the_paper(seeds: Sequence[int]) -> 
 @pytest.mark.parametrize('method', ['output', 'aggressive'])
 def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
     sigma, state = 0.03, herd(9, 2)
-    mapping = dataclasses.replace(PLAIN, method=method, max_iterations=2, tolerance=1e-6)
+    mapping = dataclasses.replace(
+        PLAIN, method=method, max_iterations=2, tolerance=1e-6, residual=1e-6
+    )
     control = dataclasses.replace(SMALL, mapping=mapping)
     window = solved(sigma, control, state, seed=5)
     coarse = solved(sigma, without_mapping(control), state, seed=5)
@@ -195,7 +197,7 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
     Ours compares centres at instants half a second apart, which is good to some per cent.
     """
     crowd, gamma, state = Crowd(noise=0.03), 1e-2, herd(9, 2, seed)
-    mapping = dataclasses.replace(PLAIN, method='aggressive', max_iterations=2, tolerance=0.0)
+    mapping = dataclasses.replace(PLAIN, method='aggressive', max_iterations=2, residual=0.0)
     control = dataclasses.replace(PAPER, horizon=SMALL.horizon, mapping=mapping)
     found = RecedingHorizon(crowd, control, GOAL, seed).solve(state, 0.0)
     u_coarse = solved(0.03, without_mapping(control), state).plan.u
@@ -237,7 +239,7 @@ def test_mapping_from_the_mean_field_limit_lowers_the_error_as_from_all_sheep(me
     """It corrects for the noise, and for sheep that are not so many."""
     state, sigma, n = herd(90, 3), 0.03, 90
     mapping = Mapping(
-        method=method, paths=20, max_iterations=4, tolerance=1e-4,
+        method=method, paths=20, max_iterations=4, tolerance=1e-4, residual=1e-4,
         estimator='plain', standard_error=0.0,
     )  # fmt: skip
     quadratic = Weights(distance=0.0, centre=3.0, beyond=0.0, terminal=0.0)
