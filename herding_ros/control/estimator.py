@@ -3,10 +3,11 @@
 
 Between two observations the herd is predicted by the coarse model under the commanded velocities;
 then each sheep and dog is corrected by its observation. For the covariance, each coordinate of
-each sheep is a linear system of its own, of position and velocity, with the model's friction and
-the random force at the sheep's place. In a crowd of first order the velocity follows from the
-positions, and what is observed of it is not used. The forces between sheep, and the part of the
-random force that they have in common, change the prediction but not the covariance.
+each sheep is a linear system of its own, of position and velocity, with the friction and the
+random force at the sheep's place; alignment adds to the friction. In a crowd of first order the
+velocity follows from the positions, and what is observed of it is not used. The forces between
+sheep, and the part of the random force that they have in common, change the prediction but not
+the covariance.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.dynamics import rollout
+from herding_ros.model.dynamics import alignment_rates, rollout
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.noise import strength
 from herding_ros.model.parameters import TINY
@@ -194,11 +195,14 @@ class StateEstimator:
         if crowd.order == 1:
             step, driven = np.diag([1.0, 0.0]), [dt / crowd.friction**2, 0.0]
         else:
-            step, driven = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]]), [0.0, dt]
+            friction = crowd.friction + alignment_rates(crowd, before.state.x)
+            step = np.tile([[1.0, dt], [0.0, 1.0]], (len(friction), 1, 1))
+            step[:, 1, 1] -= dt * friction
+            driven = [0.0, dt]
         force = self._force(before.t, before.state.x)[..., None, None] ** 2 * np.diag(driven)
         covariance = before.sheep.covariance
         for _ in range(steps):
-            covariance = step @ covariance @ step.T + force
+            covariance = step @ covariance @ np.swapaxes(step, -1, -2) + force
         slipped = before.dogs.covariance + self.sensor.slip**2 * elapsed
         return replace(
             before,

@@ -65,7 +65,7 @@ class DirectSum:
         out = np.empty_like(x)
         ring = np.empty((2, 2, 2 * x.shape[1]))
         physics = kernels.Physics(self.n, 1.0, self._form, self._form, 0.0)
-        kernels.acceleration(x, np.empty((2, 0)), physics, ring, out)
+        kernels.acceleration(x, x, np.empty((2, 0)), physics, ring, out)
         return -out
 
     def hessian_products(self, x: Array, mu: Array) -> Array:

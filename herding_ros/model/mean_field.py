@@ -9,7 +9,7 @@ with rho = int f dv and * the convolution in x. Its characteristics move like sh
 them represent it, each 1/P of the flock. They are Gaussian blobs, so that the force on each is
 the convolution with a smooth density (the blob method; Craig and Bertozzi 2016). A repulsion of
 a much shorter range than the width of the blobs acts as a pressure, as it does in the limit, and
-not between single blobs.
+not between single blobs. Alignment has no such short range: it acts between the blobs' centres.
 
 So the limit is a crowd like any other, of P sheep with a mollified potential, and rollout,
 adjoint and mapping are those of every crowd, at a cost that does not depend on N. It has no

@@ -158,8 +158,8 @@ def _paths_in_field(
     xs, vs = (np.repeat(each, noise.shape[2] // x.shape[1], axis=1) for each in (x, v))
     a = np.empty_like(xs)
 
-    def acceleration(k: int, here: Array) -> Array:
-        kernels.acceleration_in_paths(here, d[k], constants, a)
+    def acceleration(k: int, here: Array, velocities: Array) -> Array:
+        kernels.acceleration_in_paths(here, velocities, d[k], constants, a)
         return a
 
     def noise_at(k: int, here: Array) -> Array:

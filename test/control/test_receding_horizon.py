@@ -6,6 +6,7 @@ from functools import partial
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
+from herding_ros.control.drift import Drift
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import (
     Coarse,
@@ -27,7 +28,7 @@ from herding_ros.control.window import Window
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.expectation import mean_centre
-from herding_ros.model.flock import spread
+from herding_ros.model.flock import centre, spread
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
@@ -307,11 +308,13 @@ def test_improvement_is_the_solve_on_the_controls_own_time_grid() -> None:
 def test_improvement_takes_few_iterations_and_leaves_the_cost_lower() -> None:
     """From another state than was planned for; judged by the model on its own time grid."""
     planner = RecedingHorizon(Crowd(), without_mapping(SMALL), GOAL)
-    before = planner.solve(herd(9, 3), 0.0).plan
-    state = herd(9, 3, seed=1)
+    window = planner.solve(herd(9, 3), 0.0)
+    before, state = window.plan, herd(9, 3, seed=1)
     found = planner.improve(state, 2.0)
-    model = CoarseModel(Crowd(), state, 0.1)
-    costs = Task.of(SMALL, model, GOAL).costs(0.1 * np.arange(101))
+    model, times, drift = CoarseModel(Crowd(), state, 0.1), 0.1 * np.arange(101), Drift()
+    error = centre(state.x) - window.centre[window.index(2.0)]
+    drift.learn(Crowd(), error, 2.0, SMALL.horizon.accepted, SMALL.max_speed)
+    costs = Task.of(SMALL, model, GOAL).costs(times, drift.path(Crowd(), times))
     cost = Objective([*costs, ControlEffort(SMALL.weights.control)])
     old, new = (
         model.value_and_gradient(cost, u)[0] for u in (before.shifted(2.0).u, found.plan.u)
