@@ -242,6 +242,55 @@ class Sensor(Parameters):
 
 
 @dataclass(frozen=True)
+class Bodies(Parameters):
+    """Bodies of dogs, and how their commands keep them apart. Distances are between middles."""
+
+    radius: float = quantity(0.04, 'radius of a dog', 'm', low=0.0)
+    separation: float = quantity(
+        0.0, 'distance that commands keep between two dogs; 0: none', 'm', low=0.0, live=True
+    )
+    sheep_distance: float = quantity(
+        0.0,
+        'distance that commands keep from sheep as long as these stand; 0: none',
+        'm',
+        low=0.0,
+        live=True,
+    )
+    margin: float = quantity(
+        0.02,
+        'what commands keep in addition to these distances, since odometry is not exact',
+        'm',
+        low=0.0,
+        live=True,
+    )
+    delay: float = quantity(
+        0.25,
+        'distances are kept if commands take effect, on dogs as observed, this late at most; '
+        'dogs pass each other the more slowly for it',
+        's',
+        low=0.0,
+        live=True,
+    )
+    acceleration: float = quantity(
+        0.0,
+        'largest change of a command in a unit of time, but for stops and to keep dogs apart; '
+        '0: any',
+        'm/s^2',
+        low=0.0,
+        live=True,
+    )
+
+    def __post_init__(self) -> None:
+        """Check that dogs that are kept apart do not touch."""
+        super().__post_init__()
+        if 0.0 < self.separation < 2.0 * self.radius:
+            raise ValueError(
+                f'Bodies.separation must be 0 or at least twice the radius, '
+                f'{2.0 * self.radius:g} m, got {self.separation!r}'
+            )
+
+
+@dataclass(frozen=True)
 class Timing(Parameters):
     """How far ahead a pilot plans, and how long it waits."""
 
@@ -270,6 +319,7 @@ class Control(Parameters):
     optimiser: Optimiser = Optimiser()
     mapping: Mapping = Mapping()
     sensor: Sensor = Sensor()
+    bodies: Bodies = Bodies()
 
 
 PAPER = Control(

@@ -16,6 +16,7 @@ from .motion import Holonomic
 from .particle_mesh import ParticleMesh
 from .potentials import Mollified, Morse
 from .sampling import FineModel, free, Resolution
+from .separation_kernels import nearest
 from .state import HerdState
 from .tracking_cost import tracking_cost
 
@@ -50,6 +51,8 @@ def warm_up(crowd: Crowd | None = None) -> float:
     constants, d = physics(crowd, 2, 0.01), trajectory.ds
     nodes = np.ones(kernels.PATHS // 2, dtype=np.int_)
     kernels.centre_adjoints(trajectory.xs, d, nodes, constants, np.empty((2, 2, kernels.PATHS)))
+    pair, alone = np.array([0]), np.array([-1])
+    nearest(np.ones((1, 2)), pair, alone, np.ones((1, 2)), np.ones(1), 1, 1.0)
     Holonomic().project(u, 1.0)
     Holonomic().transpose(d, u, reverse_sweep(crowd, trajectory, source), 0.01, 1)
     return time.perf_counter() - started
