@@ -59,16 +59,18 @@ class CommandFilter:
             most = bodies.acceleration * control.horizon.control_period
             u = last[seen] + control.motion.project(u - last[seen], most)
         if keeps:
-            u = _apart(u, state, hidden, control, 0.0)
+            u = _apart(u, state, hidden, control, 0.0, part=not bodies.acceleration)
         command = asked.copy()
         command[seen] = u
         return FilteredCommand(command, changed, keeps and _are_too_near(state.dogs, bodies))
 
 
-def _apart(u: Array, state: HerdState, hidden: Array, control: Control, margin: float) -> Array:
+def _apart(
+    u: Array, state: HerdState, hidden: Array, control: Control, margin: float, part: bool = True
+) -> Array:
     """Return the nearest commands that keep the distances and a margin [m]; u itself if it does.
 
-    hidden: (n, 2) places [m] of dogs that stand.
+    hidden: (n, 2) places [m] of dogs that stand; part: see `kept_apart`.
     """
     bodies, d = control.bodies, state.dogs
     gain = gain_for(bodies.delay, control.horizon.control_period)
@@ -80,7 +82,7 @@ def _apart(u: Array, state: HerdState, hidden: Array, control: Control, margin: 
     if bodies.sheep_distance:
         from_sheep = bodies.sheep_distance + margin
         planes = planes.and_also(HalfPlanes.around(state.x, d, from_sheep, reach))
-    return kept_apart(d, u, distance, gain, control.max_speed, planes)
+    return kept_apart(d, u, distance, gain, control.max_speed, planes, part)
 
 
 def keeps_distances(control: Control) -> bool:

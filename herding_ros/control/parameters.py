@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from herding_ros.model.bodies import Body
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
 
@@ -242,10 +243,9 @@ class Sensor(Parameters):
 
 
 @dataclass(frozen=True)
-class Bodies(Parameters):
+class Bodies(Body):
     """Bodies of dogs, and how their commands keep them apart. Distances are between middles."""
 
-    radius: float = quantity(0.04, 'radius of a dog', 'm', low=0.0)
     separation: float = quantity(
         0.0, 'distance that commands keep between two dogs; 0: none', 'm', low=0.0, live=True
     )

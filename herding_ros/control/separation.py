@@ -17,7 +17,7 @@ so `gain_for` keeps that. Time between two commands counts as delay.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from herding_ros.model.parameters import TINY
@@ -95,17 +95,20 @@ def kept_apart(
     gain: float,
     max_speed: float,
     planes: HalfPlanes | None = None,
+    part: bool = True,
 ) -> Array:
     """Return the commands (M, 2) [m/s] nearest to u that keep dogs at d (M, 2) [m] apart.
 
     Nearest in the sum of squares, but for this: a pair that would only block each other passes
     on the right. Dogs that are nearer than `distance` [m] part, at up to gain [1/s] times what is
-    missing. No command is faster than max_speed [m/s]. Where nothing has to be changed, u itself
-    is returned.
+    missing; without `part` they come no nearer. No command is faster than max_speed [m/s]. Where
+    nothing has to be changed, u itself is returned.
     """
     planes = HalfPlanes.none() if planes is None else planes
     # Speeds are counted in units of the limit.
     conditions = _Conditions.of(d, distance, gain / max_speed, planes)
+    if not part:
+        conditions = replace(conditions, least=np.minimum(conditions.least, 0.0))
     asked = u / max_speed
     if conditions.hold(asked):
         return u
