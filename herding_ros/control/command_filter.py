@@ -18,7 +18,7 @@ class FilteredCommand:
     """What a dog is told in place of what a plan asks for.
 
     u: velocities (M, 2) [m/s]; changed: whether some are others to keep dogs apart; too_near:
-    whether two dogs were nearer than they may be.
+    whether two dogs were nearer than they may be, by more than the margin.
     """
 
     u: Array
@@ -31,8 +31,8 @@ class CommandFilter:
 
     A command changes no faster than it may, but for two things: a dog that is not seen is taken to
     stand where it was seen last, and its command is left as it is; and distances come first. The
-    margin is kept as far as the acceleration allows. Distances hold for dogs whose commands are
-    velocities, so for others none are kept.
+    margin is kept as far as that allows. All this is for dogs whose commands are velocities:
+    those of others stay as they are.
     """
 
     def __init__(self, dogs: int) -> None:
@@ -47,19 +47,21 @@ class CommandFilter:
         state: of the sheep and of the dogs that are seen; dogs: these, by their indices.
         """
         bodies, seen = control.bodies, list(dogs)
+        if not isinstance(control.motion, Holonomic):
+            return FilteredCommand(asked, False, False)
         self._places[seen] = state.dogs
         hidden = np.delete(self._places, seen, axis=0)
         hidden = hidden[np.isfinite(hidden[:, 0])]
-        keeps = keeps_distances(control) and isinstance(control.motion, Holonomic)
+        keeps = keeps_distances(control)
         wanted = u = asked[seen]
         if keeps:
             u = _apart(wanted, state, hidden, control, bodies.margin)
         changed = u is not wanted
-        if bodies.acceleration:
-            most = bodies.acceleration * control.horizon.control_period
+        if bodies.ramp:
+            most = control.max_speed * control.horizon.control_period / bodies.ramp
             u = last[seen] + control.motion.project(u - last[seen], most)
         if keeps:
-            u = _apart(u, state, hidden, control, 0.0, part=not bodies.acceleration)
+            u = _apart(u, state, hidden, control, 0.0, part=not bodies.ramp)
         command = asked.copy()
         command[seen] = u
         return FilteredCommand(command, changed, keeps and _are_too_near(state.dogs, bodies))
@@ -92,4 +94,4 @@ def keeps_distances(control: Control) -> bool:
 
 def _are_too_near(d: Array, bodies: Bodies) -> bool:
     apart = np.linalg.norm(d[:, None] - d[None], axis=2) + np.diag(np.full(len(d), np.inf))
-    return bool((apart < bodies.separation).any())
+    return bool((apart < bodies.separation - bodies.margin).any())

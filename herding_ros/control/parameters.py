@@ -55,6 +55,14 @@ class Weights(Parameters):
         low=0.0,
         live=True,
     )
+    spacing: float = quantity(
+        0.1,
+        'weight of two dogs that are nearer to each other than bodies.separation and twice '
+        'bodies.margin; without a separation it has no effect',
+        '1/s',
+        low=0.0,
+        live=True,
+    )
 
 
 @dataclass(frozen=True)
@@ -247,7 +255,7 @@ class Bodies(Body):
     """Bodies of dogs, and how their commands keep them apart. Distances are between middles."""
 
     separation: float = quantity(
-        0.0, 'distance that commands keep between two dogs; 0: none', 'm', low=0.0, live=True
+        0.1, 'distance that commands keep between two dogs; 0: none', 'm', low=0.0, live=True
     )
     sheep_distance: float = quantity(
         0.0,
@@ -257,7 +265,7 @@ class Bodies(Body):
         live=True,
     )
     margin: float = quantity(
-        0.02,
+        0.03,
         'what commands keep in addition to these distances, since odometry is not exact',
         'm',
         low=0.0,
@@ -271,11 +279,11 @@ class Bodies(Body):
         low=0.0,
         live=True,
     )
-    acceleration: float = quantity(
-        0.0,
-        'largest change of a command in a unit of time, but for stops and to keep dogs apart; '
-        '0: any',
-        'm/s^2',
+    ramp: float = quantity(
+        0.5,
+        'time that a command takes from rest to full speed, which bounds how fast it changes, but '
+        'for stops and to keep dogs apart; 0: none',
+        's',
         low=0.0,
         live=True,
     )
@@ -328,6 +336,7 @@ PAPER = Control(
     horizon=Horizon(feedback=10.0),
     optimiser=Optimiser('spg', tolerance=5e-3, rules=False),
     mapping=Mapping('aggressive', 'plain', standard_error=0.0, tolerance=0.3),
+    bodies=Bodies(separation=0.0, ramp=0.0),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""
 

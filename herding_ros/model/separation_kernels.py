@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled loop of `control/separation.py`: the nearest point of convex sets."""
+"""The compiled loops of dogs that keep apart: the nearest point of convex sets, and a cost."""
 
 from __future__ import annotations
 
@@ -65,3 +65,26 @@ def nearest(
         if largest < tolerance:
             return sweep + 1
     return sweeps
+
+
+@kernel
+def spacing(d: Array, square: float, scale: float, derivative: Array) -> float:
+    """Return scale times the sum over pairs at d[1:, :2, M] of max(1 - r^2 / square, 0)^2.
+
+    Its derivative by d is added to derivative[K+1, S, M].
+    """
+    total = 0.0
+    for k in range(1, len(d)):
+        for i in range(d.shape[2]):
+            for j in range(i):
+                x, y = d[k, 0, i] - d[k, 0, j], d[k, 1, i] - d[k, 1, j]
+                near = square - x * x - y * y
+                if near > 0.0:
+                    near /= square
+                    total += near * near
+                    slope = 4.0 * scale * near / square
+                    derivative[k, 0, i] -= slope * x
+                    derivative[k, 1, i] -= slope * y
+                    derivative[k, 0, j] += slope * x
+                    derivative[k, 1, j] += slope * y
+    return scale * total

@@ -7,7 +7,7 @@ from herding_ros.model.state import HerdState
 import numpy as np
 import pytest
 
-BODIES = Bodies(separation=0.1, margin=0.0, acceleration=0.0)
+BODIES = Bodies(separation=0.1, margin=0.0, ramp=0.0)
 ALL = (0, 1, 2)
 D = np.array([[0.0, 0.0], [0.12, 0.0], [0.0, 3.0]])
 U = np.array([[0.05, 0.0], [-0.05, 0.0], [0.0, 0.05]])
@@ -42,7 +42,7 @@ def test_the_paper_s_commands_are_those_of_its_plans():
 
 def test_margin_and_delay_keep_dogs_farther_apart():
     def closing(**changes):
-        u = filtered(Bodies(separation=0.1, **changes)).u
+        u = filtered(Bodies(separation=0.1, ramp=0.0, **changes)).u
         return (u[0] - u[1])[0]
 
     near, wide = closing(margin=0.0), closing(margin=0.01)
@@ -50,19 +50,19 @@ def test_margin_and_delay_keep_dogs_farther_apart():
     assert closing(margin=0.0, delay=1.0) < near
 
 
-def test_a_command_changes_by_no_more_than_the_acceleration_allows():
-    bodies = Bodies(acceleration=0.1)
+def test_a_command_changes_by_no_more_than_the_ramp_allows():
+    bodies = Bodies(separation=0.0, ramp=0.5)
     last = -U
     for _ in range(20):
         u = filtered(bodies, last=last).u
-        assert np.linalg.norm(u - last, axis=1).max() <= 0.1 * 0.1 + 1e-15
+        assert np.linalg.norm(u - last, axis=1).max() <= 0.05 * 0.1 / 0.5 + 1e-15
         last = u
     assert u == pytest.approx(U, abs=1e-15)
 
 
 def test_smooth_commands_keep_dogs_apart_that_run_at_each_other_with_noisy_odometry():
     rng = np.random.default_rng(0)
-    bodies = Bodies(separation=0.1, acceleration=0.1)
+    bodies = Bodies()
     d = D + np.array([[-0.3, 0.0], [0.3, 0.01], [0.0, 0.0]])
     last, filter = STAND, CommandFilter(3)
     nearest, largest = np.inf, 0.0
@@ -79,7 +79,7 @@ def test_smooth_commands_keep_dogs_apart_that_run_at_each_other_with_noisy_odome
 
 def test_a_dog_that_is_hidden_stands_in_the_way_and_keeps_its_command():
     filter = CommandFilter(3)
-    bodies = Bodies(separation=0.1, margin=0.0, acceleration=0.1)
+    bodies = Bodies(separation=0.1, margin=0.0, ramp=0.5)
     filtered(bodies, filter=filter)
     stopped = U.copy()
     stopped[1] = 0.0
@@ -92,7 +92,7 @@ def test_a_dog_that_is_hidden_stands_in_the_way_and_keeps_its_command():
 
 
 def test_a_dog_keeps_from_sheep():
-    bodies = Bodies(sheep_distance=0.1, margin=0.0)
+    bodies = Bodies(separation=0.0, sheep_distance=0.1, margin=0.0, ramp=0.0)
     command = filtered(bodies, herd=state(x=[[0.1, 0.0], [5.0, 5.0]]))
     assert command.u[0, 0] == pytest.approx(0.0, abs=1e-9)
     assert command.changed

@@ -30,7 +30,7 @@ import pytest
 PERIOD, LENGTH, ACCEPTED, LEAD = 0.1, 4.0, 2.0, 1.0
 FEEDBACK = 0.5
 HORIZON = Horizon(LENGTH, ACCEPTED, feedback=ACCEPTED, control_period=PERIOD)
-AS_PLANNED = Bodies(separation=0.0, acceleration=0.0)
+AS_PLANNED = Bodies(separation=0.0, ramp=0.0)
 CONTROL = Control(horizon=HORIZON, bodies=AS_PLANNED)
 IMPROVING = replace(CONTROL, horizon=replace(HORIZON, feedback=FEEDBACK))
 GOAL = (1.0, 0.0)
@@ -214,7 +214,9 @@ def test_lockstep_plans_when_due_and_replies_each_time() -> None:
 
 @pytest.mark.parametrize('keeps_time', [False, True])
 def test_commands_keep_dogs_apart_and_that_is_counted_and_said_once(keeps_time: bool) -> None:
-    bodies = Bodies(separation=0.12, margin=0.0)  # dogs are 0.1 m from each other, side by side
+    bodies = Bodies(
+        separation=0.12, margin=0.0, ramp=0.0
+    )  # dogs are 0.1 m from each other, side by side
     control = replace(CONTROL, bodies=bodies)
     if keeps_time:
         field = Field(control=control).herding()
@@ -240,7 +242,7 @@ def test_dogs_whose_commands_are_no_velocities_are_not_kept_apart_and_that_is_sa
         project, rollout, transpose = Holonomic.project, Holonomic.rollout, Holonomic.transpose
         state, odometry = Holonomic.state, Holonomic.odometry
 
-    control = replace(CONTROL, bodies=Bodies(separation=0.12), motion=Sledge())
+    control = replace(CONTROL, bodies=Bodies(separation=0.12, ramp=0.0), motion=Sledge())
     pilot, _ = lockstep(control)
     decisions = [pilot.decide(seen(0.1 * k)) for k in range(30)]
     assert goal_of(command(decisions[-1])) == [GOAL] * 3
@@ -259,7 +261,7 @@ def test_a_plan_without_influence_is_said_once() -> None:
 
 
 def test_lockstep_reply_is_that_of_the_real_planner() -> None:
-    control = Control(horizon=Horizon(length=1.0, accepted=0.5, feedback=0.2))
+    control = Control(bodies=AS_PLANNED, horizon=Horizon(length=1.0, accepted=0.5, feedback=0.2))
     herd = seen(0.0, sheep=4).state
     pilot = LockstepPilot(RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7), 3)
     by_hand = RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7)
