@@ -50,7 +50,8 @@ def warm_up(crowd: Crowd | None = None) -> float:
     tracking_cost(trajectory.xs, np.zeros((2, 2)), 2, 1.0, 1.0, 1.0, source)
     constants, d = physics(crowd, 2, 0.01), trajectory.ds
     nodes = np.ones(kernels.PATHS // 2, dtype=np.int_)
-    kernels.centre_adjoints(trajectory.xs, d, nodes, constants, np.empty((2, 2, kernels.PATHS)))
+    xs, vs, dogs = trajectory.xs, trajectory.vs, np.empty((2, 2, kernels.PATHS))
+    kernels.centre_adjoints(xs, vs, d, nodes, constants, dogs)
     pair, alone = np.array([0]), np.array([-1])
     nearest(np.ones((1, 2)), pair, alone, np.ones((1, 2)), np.ones(1), 1, 1.0)
     spacing(d, 1.0, 1.0, np.zeros_like(d))

@@ -15,7 +15,7 @@ from .cost import Derivatives
 class Spacing:
     """How near dogs are to each other.
 
-    C = int w sum_{m<n} max(1 - |d_m - d_n|^2 / b^2, 0)^2 dt with w = weight [1/s] and
+    C = int w sum_{m<n} max(1 - |d_m - d_n|^2 / b^2, 0)^2 dt with w = weight [m^2] and
     b = distance [m], beyond which nothing is to pay.
     """
 
