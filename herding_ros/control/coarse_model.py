@@ -107,7 +107,7 @@ class CoarseModel:
         def sweep(block: NDArray[np.int_]) -> Array:
             dogs = np.empty(shape)
             kernels.centre_adjoints(
-                trajectory.xs, d, block, constants, dogs.reshape(*shape[:2], -1)
+                trajectory.xs, trajectory.vs, d, block, constants, dogs.reshape(*shape[:2], -1)
             )
             rows = np.moveaxis(self.transpose(trajectory, u, dogs), -1, 0)
             return np.ascontiguousarray(rows)

@@ -3,10 +3,11 @@
 
 Between two observations the herd is predicted by the coarse model under the commanded velocities;
 then each sheep and dog is corrected by its observation. For the covariance, each coordinate of
-each sheep is a linear system of its own, of position and velocity, with the model's friction and
-the random force at the sheep's place. In a crowd of first order the velocity follows from the
-positions, and what is observed of it is not used. The forces between sheep, and the part of the
-random force that they have in common, change the prediction but not the covariance.
+each sheep is a linear system of its own, of position and velocity, with the friction and the
+random force at the sheep's place; alignment adds to the friction. In a crowd of first order the
+velocity follows from the positions, and what is observed of it is not used. The forces between
+sheep, and the part of the random force that they have in common, change the prediction but not
+the covariance.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.dynamics import rollout
+from herding_ros.model.dynamics import alignment_rates, rollout
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.noise import strength
 from herding_ros.model.parameters import TINY
@@ -23,15 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .parameters import Sensor
-
-_LEAST_NOISE = 0.005
-"""Least random force on sheep that the filter expects [m/s^1.5], for errors of the model.
-
-Without any it would soon ignore observations.
-"""
-
-_SLIP = 0.01
-"""Standard deviation of a dog from where its commands lead, after a second [m/s^0.5]."""
 
 _FAR = 6.0
 """An observation this many standard deviations from its prediction is an outlier."""
@@ -146,7 +138,7 @@ class StateEstimator:
         _check_names(names, observed.d, 'dogs')
         if names.min() < 0 or names.max() >= len(u):
             raise ValueError(f'dogs must be rows of u, 0 to {len(u) - 1}, got {names.tolist()}')
-        if self.sensor == Sensor():
+        if not (self.sensor.position_noise or self.sensor.velocity_noise):
             return observed
         new = self._first(t, np.asarray(ids), names, observed)
         if self._estimate is not None:
@@ -161,7 +153,7 @@ class StateEstimator:
 
     def _force(self, t: float, x: Array) -> Array:
         """Return the strength of the random force on sheep at x [m/s^1.5], (n,) or ()."""
-        return np.maximum(strength(self.crowd, t, x), _LEAST_NOISE)
+        return np.maximum(strength(self.crowd, t, x), self.sensor.model_noise)
 
     @property
     def _variances(self) -> tuple[float, float]:
@@ -203,12 +195,15 @@ class StateEstimator:
         if crowd.order == 1:
             step, driven = np.diag([1.0, 0.0]), [dt / crowd.friction**2, 0.0]
         else:
-            step, driven = np.array([[1.0, dt], [0.0, 1.0 - crowd.friction * dt]]), [0.0, dt]
+            friction = crowd.friction + alignment_rates(crowd, before.state.x)
+            step = np.tile([[1.0, dt], [0.0, 1.0]], (len(friction), 1, 1))
+            step[:, 1, 1] -= dt * friction
+            driven = [0.0, dt]
         force = self._force(before.t, before.state.x)[..., None, None] ** 2 * np.diag(driven)
         covariance = before.sheep.covariance
         for _ in range(steps):
-            covariance = step @ covariance @ step.T + force
-        slipped = before.dogs.covariance + _SLIP**2 * elapsed
+            covariance = step @ covariance @ np.swapaxes(step, -1, -2) + force
+        slipped = before.dogs.covariance + self.sensor.slip**2 * elapsed
         return replace(
             before,
             sheep=replace(

@@ -168,8 +168,15 @@ class Optimiser(Parameters):
     )
     tolerance: float = quantity(
         1e-4,
-        'pqn: decrease that the next step promises, relative to the objective; spg: length of the '
-        'projected gradient [m/s^0.5]; ncg: length of the last step [m/s^0.5]',
+        'pqn has converged when the next step promises to decrease the objective by less than '
+        'this part of it',
+        low=0.0,
+    )
+    step_tolerance: float = quantity(
+        1e-4,
+        'spg has converged when the projected gradient is no longer than this, as a step that is '
+        'short; ncg when the last step is not',
+        'm/s^0.5',
         low=0.0,
     )
     max_iterations: int = quantity(60, 'most iterations of one solve', low=1, high=10_000)
@@ -179,6 +186,11 @@ class Optimiser(Parameters):
     rules: bool = quantity(
         True, 'start from what a rule of herding does, if that costs less than the last plan'
     )
+
+    @property
+    def tolerance_of_method(self) -> float:
+        """Tolerance of the method that is chosen."""
+        return self.tolerance if self.method == 'pqn' else self.step_tolerance
 
 
 @dataclass(frozen=True)
@@ -212,8 +224,15 @@ class Mapping(Parameters):
     )
     tolerance: float = quantity(
         1e-3,
-        "output: root mean square of the expected centre's error that is small enough [m]; "
-        'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is; 0 takes all iterations',
+        "output: root mean square of the expected centre's error that is small enough; 0 takes "
+        'all iterations',
+        'm',
+        low=0.0,
+    )
+    residual: float = quantity(
+        0.3,
+        'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is small enough; 0 takes all '
+        'iterations',
         low=0.0,
     )
     feedback: bool = quantity(
@@ -237,6 +256,19 @@ class Sensor(Parameters):
         0.0,
         'standard deviation of observed velocities that is filtered out; 0: they are exact',
         'm/s',
+        low=0.0,
+    )
+    model_noise: float = quantity(
+        0.005,
+        'least random force on sheep that the filter expects, for errors of the model: without '
+        'any it would soon ignore observations',
+        'm/s^1.5',
+        low=0.0,
+    )
+    slip: float = quantity(
+        0.01,
+        'strength of the random walk of a dog off where its commands lead',
+        'm/s^0.5',
         low=0.0,
     )
 
@@ -276,8 +308,8 @@ PAPER = Control(
     weights=Weights(distance=0.0, centre=1.0, spread=1.0, dogs=0.0, beyond=0.0, terminal=0.0),
     reference=Reference(kind='interpolated'),
     horizon=Horizon(feedback=10.0),
-    optimiser=Optimiser('spg', tolerance=5e-3, rules=False),
-    mapping=Mapping('aggressive', 'plain', standard_error=0.0, tolerance=0.3),
+    optimiser=Optimiser('spg', step_tolerance=5e-3, rules=False),
+    mapping=Mapping('aggressive', 'plain', standard_error=0.0),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""
 

@@ -10,14 +10,16 @@ the integral of an Ornstein-Uhlenbeck velocity that starts at a known value. In 
 order it diffuses, q(T) = sigma^2 / alpha^2 T. Forces between sheep do not move their centre, whose
 coordinates have the variance q (c + (1 - c) / N) for N sheep that have the share c of the noise in
 common. The spread, the root mean square of N distances from the centre, then varies by about
-q / N, and its mean square grows by 2 q (1 - c) (1 - 1 / N).
+q / N, and its mean square grows by 2 q (1 - c) (1 - 1 / N), where alignment adds to the friction.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.dynamics import relative_friction
 from herding_ros.model.flock import centre, spread
 from herding_ros.model.noise import strength
 from herding_ros.model.state import HerdState
@@ -48,14 +50,17 @@ def is_surprising(
     n, sensor = len(state.x), control.sensor
     sigma = math.sqrt(np.square(strength(crowd, t, state.x)).mean())
     moved = sigma**2 * displacement_variance(crowd, elapsed)
+    aligned = replace(crowd, friction=relative_friction(crowd, state.x))
+    apart = sigma**2 * displacement_variance(aligned, elapsed)
     seen = 2.0 * sensor.position_noise**2 + (sensor.velocity_noise * elapsed) ** 2
     untold = (_UNTOLD * control.max_speed * control.horizon.feedback) ** 2
     common = crowd.common_noise
-    single = (1.0 - common) * moved + seen
     k = window.index(t)
     off = float(np.linalg.norm(centre(state.x) - window.centre[k]))
-    if off > _DEVIATIONS * math.sqrt(common * moved + single / n + untold):
+    own = (1.0 - common) * moved + seen
+    if off > _DEVIATIONS * math.sqrt(common * moved + own / n + untold):
         return True
+    single = (1.0 - common) * apart + seen
     wider = math.sqrt(window.spread[k] ** 2 + 2.0 * single * (1.0 - 1.0 / n))
     return abs(float(spread(state.x)) - wider) > _DEVIATIONS * math.sqrt(single / n + untold)
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The crowd: forces between sheep, of dogs and of the world, friction and random force."""
+"""The crowd: forces between sheep, of dogs and of the world, alignment, friction, random force."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from .alignment import Alignment
 from .external_form import ExternalForce, NoForce
 from .noise_field import NoiseField, NoiseFunction
 from .parameters import Parameters, quantity
@@ -25,6 +26,7 @@ class Crowd(Parameters):
         2, 'order of the motion in time; 1: without inertia, velocity is force / friction',
         low=1, high=2,
     )  # fmt: skip
+    alignment: Alignment = Alignment()
     noise: float = quantity(
         0.01, 'strength sigma of the random force on each sheep', 'm/s^1.5', low=0.0, live=True
     )
@@ -41,6 +43,11 @@ class Crowd(Parameters):
             raise ValueError(
                 'Crowd.friction must be above 0 where Crowd.order is 1, got 0: without inertia '
                 'sheep move at force / friction'
+            )
+        if self.order == 1 and self.alignment.rate:
+            raise ValueError(
+                'Crowd.alignment.rate must be 0 where Crowd.order is 1, got '
+                f'{self.alignment.rate:g}: without inertia sheep have no velocity to align'
             )
 
 

@@ -6,10 +6,10 @@ potentials of sheep and dogs (paper, state system):
 
     x_i' = x_i + dt v_i
     v_i' = v_i + dt (-1/N sum_j grad P_1(x_i - x_j) - sum_m grad P_2(x_i - d_m) + g(x_i)
-                     - alpha v_i) + sigma f(t, x_i) dB_i
+                     + beta/N sum_j w(x_i - x_j) (v_j - v_i) - alpha v_i) + sigma f(t, x_i) dB_i
 
-with g the external force, none by default. A crowd of first order has no inertia: with F_i the sum
-of all forces but friction,
+with g the external force and beta the rate of `alignment`, none by default. A crowd of first order
+has no inertia: with F_i the sum of all forces but friction,
 
     x_i' = x_i + (dt F_i + sigma f(t, x_i) dB_i) / alpha,    v_i' = F_i / alpha,
 
@@ -43,7 +43,10 @@ def physics(crowd: Crowd, n: int, dt: float) -> kernels.Physics:
         raise ValueError(f'time step dt must be a number above 0, got {dt!r}')
     sheep = divided(crowd.sheep.kernel_form(), n)
     dog, external = crowd.dog.kernel_form(), crowd.external.kernel_form()
-    return kernels.Physics(n, float(dt), sheep, dog, crowd.friction, external, crowd.order)
+    alignment = crowd.alignment.kernel_form(n)
+    return kernels.Physics(
+        n, float(dt), sheep, dog, crowd.friction, external, crowd.order, alignment
+    )
 
 
 def to_lanes(points: Array) -> Array:
@@ -56,12 +59,27 @@ def to_lanes(points: Array) -> Array:
 def forces(crowd: Crowd, x: Array, d: Array, accuracy: float = fast_forces.ACCURACY) -> Array:
     """Forces (N, 2) [m/s^2] on sheep at x (N, 2) [m] from each other, from dogs d and the world.
 
+    They are what the places of sheep make: without alignment and friction.
     With many sheep the error is up to `accuracy`, relative in the Euclidean norm over all.
     """
     lanes, dogs = to_lanes(x), np.ascontiguousarray(d.T)
     with _summation(crowd, len(x), accuracy) as sums:
-        out = _acceleration(sums(0, lanes), lanes, dogs, physics(crowd, len(x), 1.0))
+        still = np.zeros_like(lanes)
+        out = _acceleration(sums(0, lanes), lanes, still, dogs, physics(crowd, len(x), 1.0))
     return out[:, : len(x)].T
+
+
+def alignment_rates(crowd: Crowd, x: Array) -> Array:
+    """Rates (N,) [1/s] at which sheep at x (N, 2) [m] lose a velocity that no other has."""
+    out = np.zeros(len(x))
+    if crowd.alignment.rate:
+        kernels.alignment_rates(to_lanes(x), len(x), crowd.alignment.kernel_form(len(x)), out)
+    return out
+
+
+def relative_friction(crowd: Crowd, x: Array) -> float:
+    """Friction [1/s] on how sheep at x (N, 2) [m] move relative to their flock, on average."""
+    return crowd.friction + float(alignment_rates(crowd, x).mean())
 
 
 @contextmanager
@@ -73,10 +91,13 @@ def _summation(
         yield fast_forces.summation(crowd.sheep, n, accuracy, pool.map)
 
 
-def _acceleration(sums: fast_forces.Sums, x: Array, d: Array, constants: kernels.Physics) -> Array:
+def _acceleration(
+    sums: fast_forces.Sums, x: Array, v: Array, d: Array, constants: kernels.Physics
+) -> Array:
     """Do what `kernels.acceleration` does, with forces between sheep from `sums`."""
     out = -sums.gradients(x)
     kernels.add_outer_forces(*out, *x, d, constants)
+    kernels.add_alignment(x, v, constants, out)
     out[:, constants.n :] = 0.0
     return out
 
@@ -142,8 +163,8 @@ def follow(
 
     with _summation(crowd, n) as sums:
 
-        def acceleration_at(k: int, x: Array) -> Array:
-            return _acceleration(sums(k, x), x, d[k], constants)
+        def acceleration_at(k: int, x: Array, v: Array) -> Array:
+            return _acceleration(sums(k, x), x, v, d[k], constants)
 
         path = march(xs[0], vs[0], steps, constants, acceleration_at, noise_at)
         for k, (x, v) in enumerate(path):
@@ -156,17 +177,17 @@ def march(
     v: Array,
     steps: int,
     constants: kernels.Physics,
-    acceleration: Callable[[int, Array], Array],
+    acceleration: Callable[[int, Array, Array], Array],
     noise: Callable[[int, Array], Array],
 ) -> Iterator[tuple[Array, Array]]:
     """Yield positions and velocities (2, ...) of the sheep after 0, 1, ... steps.
 
-    `acceleration` and `noise` return what acts during step k on sheep at x.
+    `acceleration` (k, x, v) and `noise` (k, x) return what acts during step k on sheep at x.
     """
     yield x, v
     for k in range(steps):
         following = np.empty_like(x), np.empty_like(v)
-        kernels.step(x, v, acceleration(k, x), noise(k, x), constants, *following)
+        kernels.step(x, v, acceleration(k, x, v), noise(k, x), constants, *following)
         x, v = following
         yield x, v
 
@@ -178,11 +199,11 @@ def reverse_sweep(crowd: Crowd, trajectory: Trajectory, source: Array) -> Array:
     cost's partial derivative with respect to the trajectory's xs, zero in the unused lanes.
     Exact for the scheme and the forces of the rollout.
     """
-    n, xs, d = trajectory.n, trajectory.xs, positions(trajectory.ds)
+    n, xs, vs, d = trajectory.n, trajectory.xs, trajectory.vs, positions(trajectory.ds)
     constants = physics(crowd, n, trajectory.dt)
     dogs = np.zeros_like(d)
     if n < fast_forces.CROSSOVER:
-        kernels.adjoint(xs, d, source, constants, dogs)
+        kernels.adjoint(xs, vs, d, source, constants, dogs)
         return dogs
     lam, mu = source[-1].copy(), np.zeros_like(xs[0])
     with _summation(crowd, n) as sums:
@@ -190,5 +211,5 @@ def reverse_sweep(crowd: Crowd, trajectory: Trajectory, source: Array) -> Array:
         for k in range(len(xs) - 2, -1, -1):
             kernels.follow_positions(lam, mu, constants)
             h = prepared[k].hessian_products(xs[k], mu)
-            kernels.adjoint_step(xs[k], d[k], source[k], constants, h, lam, mu, dogs[k])
+            kernels.adjoint_step(xs[k], vs[k], d[k], source[k], constants, h, lam, mu, dogs[k])
     return dogs

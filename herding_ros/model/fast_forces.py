@@ -65,7 +65,7 @@ class DirectSum:
         out = np.empty_like(x)
         ring = np.empty((2, 2, 2 * x.shape[1]))
         physics = kernels.Physics(self.n, 1.0, self._form, self._form, 0.0)
-        kernels.acceleration(x, np.empty((2, 0)), physics, ring, out)
+        kernels.acceleration(x, x, np.empty((2, 0)), physics, ring, out)
         return -out
 
     def hessian_products(self, x: Array, mu: Array) -> Array:
@@ -95,8 +95,10 @@ def prepare(
     if not np.isfinite([low, high]).all() or (high == low).all():  # lost, or all in one place
         return direct
     margin = _MARGIN * (high - low).max()
-    octaves = np.ceil(_BOXES_PER_OCTAVE * np.log2(high - low + 2.0 * margin)) / _BOXES_PER_OCTAVE
-    low, extent = low - 0.5 * (2.0**octaves - (high - low)), 2.0**octaves
+    unit = potential.extent
+    octaves = np.ceil(_BOXES_PER_OCTAVE * np.log2((high - low + 2.0 * margin) / unit))
+    extent = unit * 2.0 ** (octaves / _BOXES_PER_OCTAVE)
+    low = low - 0.5 * (extent - (high - low))
     sample = np.linspace(0, n - 1, min(_CHECKED, n)).astype(int)
     exact = np.zeros((2, kernels.lanes(len(sample))))
     places = np.zeros_like(exact)

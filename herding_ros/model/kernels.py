@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .alignment import AlignmentForm
 from .external_force import (
     add_external_forces,
     add_external_products,
@@ -23,7 +24,7 @@ from .external_force import (
     ExternalForm,
 )
 from .jit import inlined, kernel
-from .potentials.forms import hessian, PotentialForm, slope_over_r
+from .potentials.forms import exp_neg, hessian, PotentialForm, slope_over_r
 from .state import Array
 
 LANES = 8
@@ -48,7 +49,7 @@ class Physics(NamedTuple):
 
     The potential of the sheep is divided by n, their number. external is the form of an
     `ExternalForce`, (): none. order is that of the motion in time: 2, or 1 without inertia, which
-    takes an alpha above 0.
+    takes an alpha above 0, and an alignment of rate 0: none.
     """
 
     n: int
@@ -58,6 +59,7 @@ class Physics(NamedTuple):
     alpha: float
     external: ExternalForm = ()
     order: int = 2
+    alignment: AlignmentForm = (0.0, 0.0)
 
 
 @inlined
@@ -141,6 +143,61 @@ def add_outer_forces(ax: Array, ay: Array, x: Array, y: Array, d: Array, physics
     add_external_forces(ax, ay, x, y, physics.external)
 
 
+@inlined
+def _alignment_weight(r2: float, form: AlignmentForm) -> float:
+    return form[0] * exp_neg(-form[1] * r2)
+
+
+@inlined
+def _exchange_velocities(
+    ax: Array, ay: Array, x: Array, y: Array, vx: Array, vy: Array, i: int, form: AlignmentForm
+) -> None:
+    """Align sheep i and those before it."""
+    xi, yi, vxi, vyi = x[i], y[i], vx[i], vy[i]
+    sum_x = 0.0
+    sum_y = 0.0
+    for j in range(i):
+        sx = xi - x[j]
+        sy = yi - y[j]
+        w = _alignment_weight(sx * sx + sy * sy, form)
+        bx = w * (vxi - vx[j])
+        by = w * (vyi - vy[j])
+        ax[j] += bx
+        ay[j] += by
+        sum_x += bx
+        sum_y += by
+    ax[i] -= sum_x
+    ay[i] -= sum_y
+
+
+@kernel
+def _align(
+    ax: Array, ay: Array, x: Array, y: Array, vx: Array, vy: Array, n: int, form: AlignmentForm
+) -> None:
+    for i in range(n):
+        _exchange_velocities(ax, ay, x, y, vx, vy, i, form)
+
+
+@kernel
+def add_alignment(x: Array, v: Array, physics: Physics, out: Array) -> None:
+    """Add sum_j w(|x_i - x_j|) (v_j - v_i) to the accelerations, see `alignment`."""
+    if physics.alignment[0] > 0.0:
+        _align(out[0], out[1], x[0], x[1], v[0], v[1], physics.n, physics.alignment)
+
+
+@kernel
+def alignment_rates(x: Array, n: int, form: AlignmentForm, out: Array) -> None:
+    """Put sum_{j != i} w(|x_i - x_j|) in out[n]."""
+    out[:] = 0.0
+    for i in range(n):
+        for j in range(i):
+            sx = x[0, i] - x[0, j]
+            sy = x[1, i] - x[1, j]
+            weight = _alignment_weight(sx * sx + sy * sy, form)
+            out[i] += weight
+            out[j] += weight
+
+
 @kernel
 def _fill(x: Array, first: int, value: float) -> None:
     """Put value in x[2, first:]."""
@@ -167,8 +224,8 @@ def _fold(b: Array, n: int, out: Array) -> None:
 
 
 @kernel
-def acceleration(x: Array, d: Array, physics: Physics, ring: Array, out: Array) -> None:
-    """Put the interaction forces on the sheep (paper, state system, no friction) in out.
+def acceleration(x: Array, v: Array, d: Array, physics: Physics, ring: Array, out: Array) -> None:
+    """Put the forces on the sheep (paper, state system) and their alignment, not friction, in out.
 
     Action and reaction are opposite, so each pair is evaluated once: each sheep of a ring acts on
     the next, the second next, ... up to half-way round. ring[2, 2, 2 lanes] is scratch.
@@ -183,6 +240,7 @@ def acceleration(x: Array, d: Array, physics: Physics, ring: Array, out: Array) 
     )
     _fold(reaction, n, out)
     add_outer_forces(out[0], out[1], x[0], x[1], d, physics)
+    add_alignment(x, v, physics, out)
     _fill(out, n, 0.0)
 
 
@@ -210,9 +268,35 @@ def _subtract_gradients_in_paths(
             _subtract_gradients_of_pair(ax, ay, x, y, i, j, p)
 
 
+@inlined
+def _align_pair(
+    ax: Array, ay: Array, x: Array, y: Array, vx: Array, vy: Array, i: int, j: int,
+    form: AlignmentForm,
+) -> None:  # fmt: skip
+    for path in range(PATHS):
+        sx = x[i + path] - x[j + path]
+        sy = y[i + path] - y[j + path]
+        w = _alignment_weight(sx * sx + sy * sy, form)
+        bx = w * (vx[i + path] - vx[j + path])
+        by = w * (vy[i + path] - vy[j + path])
+        ax[i + path] -= bx
+        ay[i + path] -= by
+        ax[j + path] += bx
+        ay[j + path] += by
+
+
 @kernel
-def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> None:
-    """Do what `acceleration` does for PATHS paths at once: x, out[2, sheep * PATHS].
+def _align_in_paths(
+    ax: Array, ay: Array, x: Array, y: Array, vx: Array, vy: Array, form: AlignmentForm
+) -> None:
+    for i in range(0, x.shape[0], PATHS):
+        for j in range(0, i, PATHS):
+            _align_pair(ax, ay, x, y, vx, vy, i, j, form)
+
+
+@kernel
+def acceleration_in_paths(x: Array, v: Array, d: Array, physics: Physics, out: Array) -> None:
+    """Do what `acceleration` does for PATHS paths at once: x, v, out[2, sheep * PATHS].
 
     The paths of a sheep lie side by side, so that a vector unit takes the same pair in many
     paths. Then each pair is evaluated once: action and reaction are opposite. With more than
@@ -227,6 +311,12 @@ def acceleration_in_paths(x: Array, d: Array, physics: Physics, out: Array) -> N
                 out[0, first : first + group], out[1, first : first + group],
                 x[0, first : first + group], x[1, first : first + group], physics.sheep,
             )  # fmt: skip
+            if physics.alignment[0] > 0.0:
+                _align_in_paths(
+                    out[0, first : first + group], out[1, first : first + group],
+                    x[0, first : first + group], x[1, first : first + group],
+                    v[0, first : first + group], v[1, first : first + group], physics.alignment,
+                )  # fmt: skip
     add_outer_forces(out[0], out[1], x[0], x[1], d, physics)
 
 
@@ -262,7 +352,7 @@ def rollout(x: Array, v: Array, d: Array, noise: Array, physics: Physics) -> Non
     a = np.empty_like(x[0])
     ring = np.zeros((2, 2, 2 * x.shape[2]))
     for k in range(noise.shape[0]):
-        acceleration(x[k], d[k], physics, ring, a)
+        acceleration(x[k], v[k], d[k], physics, ring, a)
         step(x[k], v[k], a, noise[k], physics, x[k + 1], v[k + 1])
 
 
@@ -295,7 +385,7 @@ def centres(x: Array, v: Array, d: Array, noise: Array, physics: Physics, out: A
         for c in range(2):
             _add_over_sheep(xs[c], paths, 1.0 / sheep, out[k, c])
         if k < noise.shape[0]:
-            acceleration_in_paths(xs, d[k], physics, a)
+            acceleration_in_paths(xs, vs, d[k], physics, a)
             step(xs, vs, a, noise[k], physics, xs, vs)
 
 
@@ -452,13 +542,13 @@ def hessian_products(
 
 
 @kernel
-def adjoint(x: Array, d: Array, source: Array, physics: Physics, dogs: Array) -> None:
+def adjoint(x: Array, v: Array, d: Array, source: Array, physics: Physics, dogs: Array) -> None:
     """Reverse sweep of rollout: the exact transpose of its linearisation.
 
-    x[K+1, 2, lanes] from rollout along the path d[K+1, 2, M] of the dogs; source[K+1, 2, lanes]
-    = partial derivative of the cost with respect to x, zero in the unused lanes. Puts the
-    derivative with respect to d, per unit of time, in dogs[K+1, 2, M]. Visits the pairs as
-    `acceleration` does.
+    x[K+1, 2, lanes] and v from rollout along the path d[K+1, 2, M] of the dogs;
+    source[K+1, 2, lanes] = partial derivative of the cost with respect to x, zero in the unused
+    lanes. Puts the derivative with respect to d, per unit of time, in dogs[K+1, 2, M]. Visits the
+    pairs as `acceleration` does.
     """
     steps = x.shape[0] - 1
     lam = source[steps].copy()
@@ -469,7 +559,7 @@ def adjoint(x: Array, d: Array, source: Array, physics: Physics, dogs: Array) ->
     for k in range(steps - 1, -1, -1):
         follow_positions(lam, mu, physics)
         hessian_products(x[k], mu, physics.n, physics.sheep, ring, h)
-        adjoint_step(x[k], d[k], source[k], physics, h, lam, mu, dogs[k])
+        adjoint_step(x[k], v[k], d[k], source[k], physics, h, lam, mu, dogs[k])
 
 
 @inlined
@@ -485,9 +575,63 @@ def follow_positions(lam: Array, mu: Array, physics: Physics) -> None:
 
 
 @inlined
+def _align_adjoints(
+    hx: Array, hy: Array, gx: Array, gy: Array, x: Array, y: Array, vx: Array, vy: Array,
+    mu_x: Array, mu_y: Array, i: int, form: AlignmentForm,
+) -> None:  # fmt: skip
+    """Do what `_add_alignment_products` says for sheep i and those before it."""
+    xi, yi, vxi, vyi, mu_xi, mu_yi = x[i], y[i], vx[i], vy[i], mu_x[i], mu_y[i]
+    sum_hx = 0.0
+    sum_hy = 0.0
+    sum_gx = 0.0
+    sum_gy = 0.0
+    for j in range(i):
+        sx = xi - x[j]
+        sy = yi - y[j]
+        wx = mu_xi - mu_x[j]
+        wy = mu_yi - mu_y[j]
+        weight = _alignment_weight(sx * sx + sy * sy, form)
+        b = 2.0 * form[1] * weight * ((vxi - vx[j]) * wx + (vyi - vy[j]) * wy)
+        hx[j] += b * sx
+        hy[j] += b * sy
+        gx[j] += weight * wx
+        gy[j] += weight * wy
+        sum_hx += b * sx
+        sum_hy += b * sy
+        sum_gx += weight * wx
+        sum_gy += weight * wy
+    hx[i] -= sum_hx
+    hy[i] -= sum_hy
+    gx[i] -= sum_gx
+    gy[i] -= sum_gy
+
+
+@kernel
+def _add_alignment_products(
+    hx: Array, hy: Array, gx: Array, gy: Array, x: Array, y: Array, vx: Array, vy: Array,
+    mu_x: Array, mu_y: Array, n: int, form: AlignmentForm,
+) -> None:  # fmt: skip
+    """Add the transposed derivative of alignment by v, times mu, to g; subtract that by x from h.
+
+    With s = x_i - x_j and w = w(|s|) the first is sum_j w (mu_j - mu_i), the alignment of mu, and
+    the second, since grad w = -w s / l^2, sum_j w / l^2 (v_i - v_j).(mu_i - mu_j) s.
+    """
+    for i in range(n):
+        _align_adjoints(hx, hy, gx, gy, x, y, vx, vy, mu_x, mu_y, i, form)
+
+
+@kernel
+def _add_times(factor: float, g: Array, out: Array) -> None:
+    """Add factor times g[2, ...] to as much of out[2, ...]."""
+    for c in range(2):
+        for i in range(g.shape[1]):
+            out[c, i] += factor * g[c, i]
+
+
+@inlined
 def adjoint_step(
-    x: Array, d: Array, source: Array, physics: Physics, h: Array, lam: Array, mu: Array,
-    dogs: Array,
+    x: Array, v: Array, d: Array, source: Array, physics: Physics, h: Array, lam: Array,
+    mu: Array, dogs: Array,
 ) -> None:  # fmt: skip
     """One step back in time, as in `adjoint`; h holds the `hessian_products` of the sheep.
 
@@ -496,8 +640,15 @@ def adjoint_step(
     n = physics.n
     add_hessians_of_dogs(h[0], h[1], x[0], x[1], mu[0], mu[1], d, dogs, physics.dog)
     add_external_products(h, x, mu, physics.external)
+    aligned = np.zeros((2, n if physics.alignment[0] > 0.0 else 0))
+    if physics.alignment[0] > 0.0:
+        _add_alignment_products(
+            h[0], h[1], aligned[0], aligned[1], x[0], x[1], v[0], v[1], mu[0], mu[1], n,
+            physics.alignment,
+        )  # fmt: skip
     for c in range(2):
         _step_back(lam[c, :n], mu[c, :n], h[c, :n], source[c, :n], physics.dt, physics.alpha)
+    _add_times(physics.dt, aligned, mu)
 
 
 @inlined
@@ -534,15 +685,16 @@ def _hessians(sources: Array, x: Array, p: PotentialForm, out: Array) -> None:
 
 
 @inlined
-def _add_hessian_of_pair(
-    hx: Array, hy: Array, mu_x: Array, mu_y: Array, i: int, j: int, xx: float, xy: float, yy: float
-) -> None:
-    """Add a Hessian times (mu_i - mu_j) to h_i, and its opposite to h_j, in PATHS sweeps."""
+def _add_product_of_pair(
+    hx: Array, hy: Array, mu_x: Array, mu_y: Array, i: int, j: int, xx: float, xy: float,
+    yx: float, yy: float,
+) -> None:  # fmt: skip
+    """Add a matrix times (mu_i - mu_j) to h_i, and its opposite to h_j, in PATHS sweeps."""
     for k in range(PATHS):
         wx = mu_x[i + k] - mu_x[j + k]
         wy = mu_y[i + k] - mu_y[j + k]
         gx = xx * wx + xy * wy
-        gy = xy * wx + yy * wy
+        gy = yx * wx + yy * wy
         hx[i + k] += gx
         hy[i + k] += gy
         hx[j + k] -= gx
@@ -560,14 +712,35 @@ def _add_hessians_of_pairs(
     for i in range(n):
         for j in range(i):
             xx, xy, yy = flock[i, 0, j], flock[i, 1, j], flock[i, 2, j]
-            _add_hessian_of_pair(hx, hy, mu_x, mu_y, i * PATHS, j * PATHS, xx, xy, yy)
+            _add_product_of_pair(hx, hy, mu_x, mu_y, i * PATHS, j * PATHS, xx, xy, xy, yy)
         for m in range(dog.shape[0]):
             xx, xy, yy = dog[m, 0, i], dog[m, 1, i], dog[m, 2, i]
-            _add_hessian_of_pair(hx, hy, mu_x, mu_y, i * PATHS, (n + m) * PATHS, xx, xy, yy)
+            _add_product_of_pair(hx, hy, mu_x, mu_y, i * PATHS, (n + m) * PATHS, xx, xy, xy, yy)
 
 
 @kernel
-def centre_adjoints(x: Array, d: Array, nodes: Array, physics: Physics, dogs: Array) -> None:
+def _add_alignment_products_of_sweeps(
+    hx: Array, hy: Array, gx: Array, gy: Array, x: Array, v: Array, mu_x: Array, mu_y: Array,
+    n: int, form: AlignmentForm,
+) -> None:  # fmt: skip
+    """Do so for PATHS mu of each of n sheep, side by side in mu, h and g."""
+    for i in range(n):
+        for j in range(i):
+            sx, sy = x[0, i] - x[0, j], x[1, i] - x[1, j]
+            vx, vy = v[0, i] - v[0, j], v[1, i] - v[1, j]
+            w = _alignment_weight(sx * sx + sy * sy, form)
+            b = -2.0 * form[1] * w
+            _add_product_of_pair(
+                hx, hy, mu_x, mu_y, i * PATHS, j * PATHS,
+                b * sx * vx, b * sx * vy, b * sy * vx, b * sy * vy,
+            )  # fmt: skip
+            _add_product_of_pair(gx, gy, mu_x, mu_y, i * PATHS, j * PATHS, -w, 0.0, 0.0, -w)
+
+
+@kernel
+def centre_adjoints(
+    x: Array, v: Array, d: Array, nodes: Array, physics: Physics, dogs: Array
+) -> None:
     """Do PATHS reverse sweeps at once, each as `adjoint` does: for the centre at some steps.
 
     Lane 2 q + c is for coordinate c of the sheep's centre at step nodes[q] >= 1, with
@@ -583,6 +756,7 @@ def centre_adjoints(x: Array, d: Array, nodes: Array, physics: Physics, dogs: Ar
     no_source = np.zeros(sheep)
     mu = np.zeros((2, sheep + d.shape[2] * PATHS))
     h = np.empty_like(mu)
+    aligned = np.zeros((2, sheep if physics.alignment[0] > 0.0 else 0))
     last = nodes.max()
     dogs[last:] = 0.0
     for k in range(last, -1, -1):
@@ -594,10 +768,17 @@ def centre_adjoints(x: Array, d: Array, nodes: Array, physics: Physics, dogs: Ar
             _add_hessians_of_pairs(h[0], h[1], mu[0], mu[1], n, flock, dog)
             np.negative(h[:, sheep:], dogs[k])
             add_external_products_of_sweeps(h, x[k], mu, n, PATHS, physics.external)
+            if physics.alignment[0] > 0.0:
+                aligned[:] = 0.0
+                _add_alignment_products_of_sweeps(
+                    h[0], h[1], aligned[0], aligned[1], x[k], v[k], mu[0], mu[1], n,
+                    physics.alignment,
+                )  # fmt: skip
             for c in range(2):
                 _step_back(
                     lam[c], mu[c, :sheep], h[c, :sheep], no_source, physics.dt, physics.alpha
                 )
+            _add_times(physics.dt, aligned, mu)
         for q in range(nodes.shape[0]):
             if nodes[q] == k:
                 for c in range(2):

@@ -49,7 +49,8 @@ def warm_up(crowd: Crowd | None = None) -> float:
     tracking_cost(trajectory.xs, np.zeros((2, 2)), 2, 1.0, 1.0, 1.0, source)
     constants, d = physics(crowd, 2, 0.01), trajectory.ds
     nodes = np.ones(kernels.PATHS // 2, dtype=np.int_)
-    kernels.centre_adjoints(trajectory.xs, d, nodes, constants, np.empty((2, 2, kernels.PATHS)))
+    xs, vs, dogs = trajectory.xs, trajectory.vs, np.empty((2, 2, kernels.PATHS))
+    kernels.centre_adjoints(xs, vs, d, nodes, constants, dogs)
     Holonomic().project(u, 1.0)
     Holonomic().transpose(d, u, reverse_sweep(crowd, trajectory, source), 0.01, 1)
     return time.perf_counter() - started

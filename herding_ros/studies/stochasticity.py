@@ -38,7 +38,7 @@ _RATIO_GOALS = {0.02: 0.12, 0.03: 0.13, 0.04: 0.27}
 
 _MAPPINGS = {
     'output': replace(PAPER.mapping, method='output', max_iterations=_ITERATIONS, tolerance=0.0),
-    'aggressive': replace(PAPER.mapping, max_iterations=_ITERATIONS, tolerance=0.0),
+    'aggressive': replace(PAPER.mapping, max_iterations=_ITERATIONS, residual=0.0),
     'paper': PAPER.mapping,
     'multilevel': Mapping('output', max_iterations=_ITERATIONS, tolerance=0.0),
 }

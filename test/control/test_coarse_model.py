@@ -7,6 +7,7 @@ from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.leash import Leash
 from herding_ros.control.objective import Objective, weighted_costs
 from herding_ros.control.parameters import Weights
+from herding_ros.model.alignment import Alignment
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.mean_field import mean_field
 from herding_ros.model.potentials import PowerLaw
@@ -22,10 +23,15 @@ OBSERVABLES = {'centre': (1.0, 0.0), 'individuals': (1.0, 1.0), 'spread': (0.0, 
 OTHERS = ('dogs', 'terminal', 'containment', 'radius')
 SIZES = [(1, 1), (2, 5), (5, 2), (8, 1), (9, 3), (16, 4), (17, 5)]
 # Kernels know some of the potentials by a table.
-WORLDS = {**CROWDS, 'power law': Crowd(sheep=PowerLaw()), 'no inertia': Crowd(order=1)}
+WORLDS = {
+    **CROWDS,
+    'power law': Crowd(sheep=PowerLaw()),
+    'no inertia': Crowd(order=1),
+    'aligned': Crowd(alignment=Alignment(2.0, 0.2)),
+}
 presets = pytest.mark.parametrize('preset', WORLDS)
 # The other worlds run the code of the first with other numbers.
-kernels = pytest.mark.parametrize('preset', ['cohesive', 'power law', 'no inertia'])
+kernels = pytest.mark.parametrize('preset', ['cohesive', 'power law', 'no inertia', 'aligned'])
 
 
 @pytest.fixture(scope='session')

@@ -11,6 +11,7 @@ from herding_ros.control.closed_loop import closed_loop, play
 from herding_ros.control.estimator import StateEstimator
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
 from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.model.alignment import Alignment
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import spread
@@ -104,12 +105,26 @@ class DenseFilter:
         for i in range(self.n):
             self.mean[4 * i + 2 : 4 * i + 4] *= velocity / q
         self.covariance = np.diag([p, p, velocity, velocity] * self.n + [p, p] * m)
+        self.frictions = self.frictions_here()
         self.noise = np.diag([p, p, q, q] * self.n + [p, p] * m)
 
     @staticmethod
     def stacked(state: HerdState) -> Array:
         sheep = [[*x, *v] for x, v in zip(state.x, state.v, strict=True)]
         return np.array([*np.ravel(sheep), *state.d.ravel()])
+
+    def rate(self, apart: Array) -> float:
+        alignment = self.crowd.alignment
+        near = math.exp(-0.5 * (math.hypot(*apart[:2]) / alignment.range) ** 2)
+        return alignment.rate / self.n * near
+
+    def frictions_here(self) -> list[float]:
+        sheep = self.mean[: 4 * self.n].reshape(-1, 4)
+        return [
+            self.crowd.friction
+            + sum(self.rate(sheep[i] - sheep[j]) for j in range(self.n) if j != i)
+            for i in range(self.n)
+        ]
 
     def pull(self, r: Array, force: Morse) -> Array:
         """Minus the gradient of the potential, without what is shorter than the noise."""
@@ -130,7 +145,9 @@ class DenseFilter:
             force = np.zeros(2)
             for j in range(n):
                 if i != j:
-                    force = force + self.pull(sheep[i, :2] - sheep[j, :2], crowd.sheep) / n
+                    apart = sheep[i] - sheep[j]
+                    force = force + self.pull(apart[:2], crowd.sheep) / n
+                    force = force - self.rate(apart) * apart[2:]
             for dog in dogs:
                 force = force + self.pull(sheep[i, :2] - dog, crowd.dog)
             if crowd.order == 1:
@@ -140,8 +157,8 @@ class DenseFilter:
                 moved[i, :2] += dt * sheep[i, 2:]
                 moved[i, 2:] += dt * (force - crowd.friction * sheep[i, 2:])
         self.mean = np.array([*moved.ravel(), *(dogs + dt * u).ravel()])
-        one = np.kron(step_of(crowd, dt), np.eye(2))
-        forward = block_diag(*[one] * n, np.eye(2 * len(dogs)))
+        steps = [step_of(replace(crowd, friction=friction), dt) for friction in self.frictions]
+        forward = block_diag(*[np.kron(step, np.eye(2)) for step in steps], np.eye(2 * len(dogs)))
         random = np.repeat(np.diag(force_of(crowd, dt)), 2)
         force = np.diag([*random] * n + [SLIP**2 * dt] * (2 * len(dogs)))
         self.covariance = forward @ self.covariance @ forward.T + force
@@ -150,6 +167,7 @@ class DenseFilter:
         gain = self.covariance @ np.linalg.inv(self.covariance + self.noise)
         self.mean = self.mean + gain @ (self.stacked(observed) - self.mean)
         self.covariance = self.covariance - gain @ self.covariance
+        self.frictions = self.frictions_here()
 
 
 @pytest.mark.parametrize(
@@ -161,6 +179,7 @@ class DenseFilter:
         (replace(FLOCK, dog=Morse(0.1, 0.04, 5e-4, 2.0)), NOISY),
         (CROWDS['printed'], Sensor(0.03, 0.01)),
         (replace(FLOCK, order=1), NOISY),
+        (replace(FLOCK, alignment=Alignment(3.0, 0.4)), NOISY),
     ],
 )
 def test_it_is_the_textbook_filter(

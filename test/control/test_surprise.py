@@ -10,6 +10,7 @@ from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.surprise import displacement_variance, is_surprising
 from herding_ros.control.window import Window
+from herding_ros.model.alignment import Alignment
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.noise import increments
@@ -52,6 +53,7 @@ def test_variance_is_that_of_a_velocity_with_friction_and_random_force(
         (Crowd(noise=0.03), Sensor()),
         (Crowd(noise=0.03, common_noise=0.5), Sensor()),
         (Crowd(noise=0.03, order=1), Sensor()),
+        (Crowd(noise=0.03, alignment=Alignment(5.0, 1.0)), Sensor()),
         (Crowd(noise=0.01), Sensor(0.05, 0.05)),
     ],
 )

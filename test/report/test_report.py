@@ -144,7 +144,7 @@ def test_bad_arrival_parameters_of_a_bag_are_noted(run: RecordedRun) -> None:
     (note,) = summary['notes']
     assert note == (
         'the arrival is judged by the default parameters: Arrival.radius must be a number from '
-        "1e-09 to 1e+06, got 'wide'"
+        "1e-09 to 1e+09, got 'wide'"
     )
     long = summarise(with_arrival(run, radius='w' * 10_000))
     assert len(long['notes'][0]) <= 500
