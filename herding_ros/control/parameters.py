@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from herding_ros.model.bodies import Body
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
 
@@ -51,6 +52,14 @@ class Weights(Parameters):
     beyond: float = quantity(
         1.0,
         'weight of what lies beyond the window: the time that dogs need to get behind strays',
+        low=0.0,
+        live=True,
+    )
+    spacing: float = quantity(
+        0.1,
+        'weight of two dogs that are nearer to each other than bodies.separation and twice '
+        'bodies.margin; without a separation it has no effect',
+        'm^2',
         low=0.0,
         live=True,
     )
@@ -274,6 +283,54 @@ class Sensor(Parameters):
 
 
 @dataclass(frozen=True)
+class Bodies(Body):
+    """Bodies of dogs, and how their commands keep them apart. Distances are between middles."""
+
+    separation: float = quantity(
+        0.1, 'distance that commands keep between two dogs; 0: none', 'm', low=0.0, live=True
+    )
+    sheep_distance: float = quantity(
+        0.0,
+        'distance that commands keep from sheep as long as these stand; 0: none',
+        'm',
+        low=0.0,
+        live=True,
+    )
+    margin: float = quantity(
+        0.03,
+        'what commands keep in addition to these distances, since odometry is not exact',
+        'm',
+        low=0.0,
+        live=True,
+    )
+    delay: float = quantity(
+        0.25,
+        'distances are kept if commands take effect, on dogs as observed, this late at most; '
+        'dogs pass each other the more slowly for it',
+        's',
+        low=0.0,
+        live=True,
+    )
+    ramp: float = quantity(
+        0.5,
+        'time that a command takes from rest to full speed, which bounds how fast it changes, but '
+        'for stops and to keep dogs apart; 0: none',
+        's',
+        low=0.0,
+        live=True,
+    )
+
+    def __post_init__(self) -> None:
+        """Check that dogs that are kept apart do not touch."""
+        super().__post_init__()
+        if 0.0 < self.separation < 2.0 * self.radius:
+            raise ValueError(
+                f'Bodies.separation must be 0 or at least twice the radius, '
+                f'{2.0 * self.radius:g} m, got {self.separation!r}'
+            )
+
+
+@dataclass(frozen=True)
 class Timing(Parameters):
     """How far ahead a pilot plans, and how long it waits."""
 
@@ -302,6 +359,7 @@ class Control(Parameters):
     optimiser: Optimiser = Optimiser()
     mapping: Mapping = Mapping()
     sensor: Sensor = Sensor()
+    bodies: Bodies = Bodies()
 
 
 PAPER = Control(
@@ -310,6 +368,7 @@ PAPER = Control(
     horizon=Horizon(feedback=10.0),
     optimiser=Optimiser('spg', step_tolerance=5e-3, rules=False),
     mapping=Mapping('aggressive', 'plain', standard_error=0.0),
+    bodies=Bodies(separation=0.0, ramp=0.0),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""
 

@@ -15,10 +15,12 @@ import threading
 from typing import Protocol
 
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array, finite, HerdState
 import numpy as np
 from numpy.typing import NDArray
 
+from .command_filter import CommandFilter, keeps_distances
 from .estimator import StateEstimator
 from .parameters import Control
 from .plan import SLACK
@@ -124,7 +126,7 @@ class Pilot:
         """Plan by `planner`, not to be used elsewhere, for so many dogs."""
         self.dogs = dogs
         self.plans_made = self.feedbacks_made = 0
-        self.deadlines_missed = self.plans_failed = 0
+        self.deadlines_missed = self.plans_failed = self.commands_changed = 0
         self.estimate: Observed | None = None
         """The most likely state at the last observation."""
         self._planner = planner
@@ -151,6 +153,7 @@ class Pilot:
         self._said.clear()
         self._visible: tuple[int, ...] = ()
         self._command: Array = np.zeros((self.dogs, 2))  # the last one
+        self._filter = CommandFilter(self.dogs)
         self._afresh = True
         self.estimate = None
         self._estimator.reset()
@@ -230,6 +233,30 @@ class Pilot:
                 self._crowd, self._control, plan.window, age, estimate.state, estimate.t
             )
         )
+
+    def _filtered(self, asked: Array, estimate: Observed) -> Array:
+        """Return the commands (M, 2) [m/s] for those that a plan asks for; count and say why."""
+        control = self._control
+        if keeps_distances(control) and not isinstance(control.motion, Holonomic):
+            self._say(
+                'warning',
+                'dogs are not kept apart: bodies.separation and bodies.sheep_distance are for '
+                f'commands that are velocities, but motion is {type(control.motion).__name__}; '
+                'set both to 0',
+            )
+        command = self._filter.filtered(
+            asked, self._command, estimate.state, estimate.dogs, control
+        )
+        if command.too_near:
+            self._say(
+                'warning',
+                'dogs are nearer to each other than bodies.separation, '
+                f'{control.bodies.separation:g} m: they part',
+            )
+        if command.changed:
+            self.commands_changed += 1
+            self._say('info', 'commands are changed to keep dogs apart; they are counted')
+        return command.u
 
     def _announce(self, plan: ScheduledPlan, margin: float) -> Announcement:
         self.plans_made += 1

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .bodies import Body, closest, touches
 from .crowd import Crowd
 from .flock import Arrival, arrived, centre, spread, without_strays
 from .motion import Holonomic, MotionModel
@@ -32,6 +33,7 @@ class World(Parameters):
     )
     max_speed: float = quantity(5e-2, 'a dog runs no faster than this', 'm/s', low=TINY)
     motion: MotionModel = Holonomic()
+    bodies: Body = Body()
     start: Start = Start()
     arrival: Arrival = Arrival()
 
@@ -101,6 +103,10 @@ class Simulation:
         self.state = replace(herd, d=dogs)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
         self.periods = 0
+        self.touches = touches(self.state.dogs[None], world.bodies.radius)
+        """How often two dogs have come to touch; they run on all the same."""
+        self.closest_dogs = closest(self.state.dogs[None])
+        """The smallest distance there was between two dogs [m]; infinite for a single dog."""
         self.initial_spread = float(spread(single(self.flock)))
         self._process, self._sensor = flock.spawn(2)
 
@@ -139,9 +145,16 @@ class Simulation:
         state = self._moved(u, noise)
         if not np.isfinite(single(np.stack([state.x, state.v]))).all():
             raise ValueError('positions and velocities must be finite in single precision')
+        self._count_touches(state.dogs)
         self.state = state
         self.dog_velocities = u
         self.periods += 1
+
+    def _count_touches(self, dogs: Array) -> None:
+        radius, before = self.world.bodies.radius, self.state.dogs[None]
+        both = np.concatenate([before, dogs[None]])
+        self.touches += touches(both, radius) - touches(before, radius)
+        self.closest_dogs = min(self.closest_dogs, closest(dogs[None]))
 
     def _moved(self, u: Array, noise: Array) -> HerdState:
         """Return the state after a control period of dogs' velocities u under this noise."""

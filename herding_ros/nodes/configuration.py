@@ -31,13 +31,17 @@ _Loader.add_implicit_resolver(
 )
 
 
+def _read(text: str) -> Any:
+    return _Loader(text).get_single_data()
+
+
 def parameters_of(file: Path) -> Callable[[str, str], dict[str, Any]]:
     """Return a function of a node and its namespace that gives what the file tells it, flat.
 
     Raises ValueError if it is not a parameter file.
     """
     try:
-        content = yaml.load(file.read_text(encoding='utf-8'), _Loader)
+        content = _read(file.read_text(encoding='utf-8'))
         sections = {
             f'/{name.strip("/")}': dict(_flat(section['ros__parameters']))
             for name, section in content.items()
@@ -90,7 +94,7 @@ def assignment(text: str) -> tuple[str, Any]:
     if not (name and sign):
         raise ValueError(f'a parameter must be given as NAME:=VALUE, got {text!r}')
     try:
-        return name, yaml.load(value, _Loader)
+        return name, _read(value)
     except yaml.YAMLError as error:
         raise ValueError(f'the value of a parameter must be YAML, got {text!r}: {error}') from None
 

@@ -96,7 +96,7 @@ _DEFAULTS = {'sheep': 30, 'dogs': 5, 'goal': GOAL, 'seed': 0, 'arrival.strays': 
 """Parameters whose values herd needs to know itself."""
 
 _OWN = {'lockstep', 'wait_for', 'stop_on_arrival', 'bag', 'use_sim_time', 'real_time_factor'}
-"""Parameters that a run by herd depends on."""
+"""Parameters that herd sets itself, whatever a file says."""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -273,6 +273,8 @@ def main(args: list[str] | None = None) -> int:
         f'{os.environ.get("ROS_DOMAIN_ID", "0")}; output in {options.out}',
         soft_wrap=True,
     )
+    if names := sorted(set().union(*options.values.values()) & _OWN - {'use_sim_time'}):
+        console.print(f'herd itself sets {", ".join(names)}: what a file says does not count')
     code = _run(options, logs, console)
     if (options.out / 'bag').exists():
         from herding_ros.report.cli import write_report  # it takes a second to load: not before

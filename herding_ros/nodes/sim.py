@@ -226,10 +226,12 @@ class Sim(HerdingNode):
             'finished': self._run.finished,
             'outcome': self._run.outcome,
             'periods_skipped': skipped,
+            'closest_dogs_m': simulation.closest_dogs,
+            'touches': simulation.touches,
             **self._refused.report_values(),
             **mismatched,
         }
-        good = not (self._refused.counts or mismatched or skipped)
+        good = not (self._refused.counts or mismatched or skipped or simulation.touches)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(

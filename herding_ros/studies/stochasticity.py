@@ -69,7 +69,7 @@ def tasks(options: Options) -> list[Task]:
     """Return windows mapped by the controller, by variants of Algorithm 1, and directly."""
     seeds, quick = options.seed_range(10), options.quick
     paths = options.path_number(100)
-    sigmas = SIGMAS[1:3] if quick else SIGMAS
+    sigmas = options.sigma_values(SIGMAS, SIGMAS[1:3])
     common = {
         'sheep': 6 if quick else 30,
         'dogs': 2 if quick else 5,

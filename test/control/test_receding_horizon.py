@@ -25,6 +25,7 @@ from herding_ros.control.space_mapping import aggressive_mapping, MappingProblem
 from herding_ros.control.spg import spg
 from herding_ros.control.task import Task
 from herding_ros.control.window import Window
+from herding_ros.model.bodies import closest
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.expectation import mean_centre
@@ -487,3 +488,16 @@ def test_common_noise_spoils_the_mean_of_few_paths_more() -> None:
 
     individual, common = (np.mean([off(share, seed) for seed in range(8)]) for share in (0.0, 1.0))
     assert common > 2.0 * individual
+
+
+def test_plans_keep_dogs_apart() -> None:
+    herd = initial_herd(20, 4, GOAL, np.random.default_rng(0))
+    near = {}
+    for weight in (0.0, Weights().spacing):
+        values = {'weights.spacing': weight, 'mapping.max_iterations': 0}
+        planner = RecedingHorizon(Crowd(), Control().with_values(values), GOAL)
+        near[weight] = closest(planner.solve(herd, 0.0).dogs)
+    without, spaced = near.values()
+    bodies = Control().bodies
+    assert without < bodies.separation
+    assert spaced > bodies.separation + bodies.margin

@@ -22,6 +22,9 @@ from .strombom import Strombom
 from .strombom_sheep import Flock, MAX_SPEED, Sheep
 from .truths import NO_FORCE, OtherWorld, Truth
 
+_NO_BODIES = {'bodies.separation': 0.0, 'bodies.ramp': 0.0}
+"""Settings for the dogs of others, which are points and take any command at once."""
+
 
 class Field(Plant, Protocol):
     """A plant that has a goal with a region around it."""
@@ -70,6 +73,7 @@ def targets(seed: int, **given: Any) -> Stranger:
         'horizon.accepted': 0.5 * length,
         'horizon.feedback': max(length / 16.0, 2.0 * setting.control_period),
         'mapping.standard_error': 0.05,
+        **_NO_BODIES,
     }
     rule = lama.Rule(setting.radius, setting.max_speed, behind=0.5 * setting.reach)
     return Stranger(lama.Targets(setting, seed), rule, crowd, settings)
@@ -99,6 +103,7 @@ def flock(seed: int) -> Stranger:
         'horizon.feedback': 3.0,
         'horizon.substeps': 10,
         'mapping.standard_error': 0.05,
+        **_NO_BODIES,
     }
     chance = np.random.default_rng([seed, 30_000])
     rule = Strombom(plant.goal, chance, MAX_SPEED, kind.distance, noise=kind.noise)
