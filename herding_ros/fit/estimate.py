@@ -30,6 +30,7 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.parameters import Entry, Parameters
 from herding_ros.model.state import Array
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import ndtri
 
@@ -50,8 +51,8 @@ _PRIOR = np.log(10.0)
 _DIFFERENCE = 1e-5
 """Step of theta for derivatives."""
 
-_GRADIENT = 1e-2
-"""The fit has converged when the gradient is this small; at 1 theta would be off by its error."""
+_CLOSE = 1e-2
+"""The fit has converged when the objective is this near its minimum; 1/2 is one standard error."""
 
 _MOST_ITERATIONS = 100
 
@@ -165,6 +166,9 @@ def fit(
     fitted = [e for e in entries if e.name not in fixed and _may_change(e, hold)]
     if not fitted:
         raise ValueError('there must be a parameter to fit, but all are held or 0')
+    likelihood = _Likelihood(recordings, model, [e.name for e in fitted], leads, step)
+    # What has no effect at all, as the range of a force that is 0, is not fitted either.
+    fitted = [e for e, one in zip(fitted, likelihood.have_effect, strict=True) if one]
     likelihood = _Likelihood(recordings, model, [e.name for e in fitted], leads, step)
     theta, converged, iterations = likelihood.minimise(progress)
     at = likelihood.at(theta)
@@ -284,26 +288,36 @@ class _Likelihood:
         self._filters = [Filter(each, leads, step) for each in recordings]
         self._last: tuple[bytes, _Evaluation] | None = None
 
+    @property
+    def have_effect(self) -> NDArray[np.bool_]:
+        """Whether a parameter changes anything, (P,)."""
+        return np.diag(self.at(self._theta0).information) > 0.0
+
     def model(self, theta: Array) -> _Model:
         """Return the model with these logarithms of its parameters."""
         return self._start.with_values(dict(zip(self._names, np.exp(theta).tolist(), strict=True)))
 
     def minimise(self, progress: Progress) -> tuple[Array, bool, int]:
         """Return where the objective is least, whether that was found, and in how many steps."""
-        count = 0
+        count, converged = 0, False
 
         def count_up(theta: Array) -> None:
-            nonlocal count
+            nonlocal count, converged
             count += 1
             progress(count, self(theta))
+            at = self.at(theta)
+            above = 0.5 * at.gradient @ np.linalg.solve(at.hessian, at.gradient)
+            converged = bool(above < _CLOSE)
+            if converged:
+                raise StopIteration
 
         found = minimize(
             self, self._theta0, method='trust-exact', callback=count_up,
             jac=lambda theta: self.at(theta).gradient, hess=lambda theta: self.at(theta).hessian,
-            options={'gtol': _GRADIENT, 'maxiter': _MOST_ITERATIONS,
+            options={'gtol': 0.0, 'maxiter': _MOST_ITERATIONS,
                      'initial_trust_radius': 0.5, 'max_trust_radius': 2.0},
         )  # fmt: skip
-        return found.x, bool(found.success), count
+        return found.x, converged, count
 
     def __call__(self, theta: Array) -> float:
         """Return the objective; infinite where a parameter would be out of its bounds."""

@@ -35,12 +35,13 @@ def forecast(
     recordings: Sequence[Recording], crowd: Crowd, sensor: Sensor, step: float,
     ahead: Sequence[float] = AHEAD,
 ) -> Forecast:  # fmt: skip
-    """Return how well a crowd predicts recordings, as far ahead as all of them last."""
-    shortest = min(each.duration for each in recordings)
-    leads = [lead for lead in ahead if lead < 0.5 * shortest]
+    """Return how well a crowd predicts recordings, as far ahead as one of them lasts."""
+    leads = [lead for lead in ahead if any(lead < each.duration for each in recordings)]
     error, expected, standing = [], [], []
     for lead in leads:
-        found = [_errors(each, crowd, sensor, step, lead) for each in recordings]
+        found = [
+            _errors(each, crowd, sensor, step, lead) for each in recordings if lead < each.duration
+        ]
         off, variance, stood = (np.concatenate(part) for part in zip(*found, strict=True))
         # Both coordinates together: a distance.
         error.append(np.sqrt(2.0 * np.nanmean(off**2)))

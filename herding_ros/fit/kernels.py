@@ -48,11 +48,11 @@ def _predict(
     """Move on along the dogs' path d[steps + 1, 2, M] in steps of dt; p[3, lanes] covariance."""
     physics = Physics(
         constants.n, dt, constants.sheep, constants.dog, constants.alpha, constants.external,
-        constants.order,
+        constants.order, constants.alignment,
     )  # fmt: skip
     alpha, variance = physics.alpha, noise * noise * dt
     for k in range(d.shape[0] - 1):
-        acceleration(x, d[k], physics, ring, a)
+        acceleration(x, v, d[k], physics, ring, a)
         step(x, v, a, still, physics, x, v)
         for i in range(physics.n):
             if physics.order == 1:

@@ -21,10 +21,6 @@ _A_SECOND = 1.0
 """Time over which the speed of sheep is looked at before anything is known of them [s]."""
 
 
-_OVERLAP = 2
-"""Predictions that go on at the same time, by the shortest lead."""
-
-
 @dataclass(frozen=True)
 class Sensor(Parameters):
     """Errors of what was recorded, standard deviations."""
@@ -62,7 +58,7 @@ class Filter:
         self._leads = _in_observations(recording, leads)
         self.longest_lead = int(self._leads[-1])
         # Predictions that begin at neighbouring instants say nearly the same.
-        self._stride = max(int(self._leads[0]) // _OVERLAP, 1)
+        self._stride = int(self._leads[0])
         between = np.diff(recording.times)
         steps = max(int(np.ceil(between.max() / step - TINY)), 1)
         self._dt = between / steps

@@ -112,4 +112,4 @@ def test_a_crowd_of_another_kind_is_called_so(
             rows.writerow([t, 'dog', 9.0, 9.0])
     hold = ['crowd.sheep.', 'crowd.dog.']
     main([str(path), '--out', str(tmp_path / 'c.yaml'), '--hold', *hold])
-    assert 'times as far off as this crowd says' in capsys.readouterr().out
+    assert 'sheep are not quite of its kind' in capsys.readouterr().out

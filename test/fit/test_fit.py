@@ -6,7 +6,7 @@ from __future__ import annotations
 from herding_ros.fit.estimate import Fit, fit
 from herding_ros.fit.recording import Recording
 from herding_ros.model.crowd import Crowd, CROWDS
-from herding_ros.model.potentials import Harmonic, Morse
+from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import World
 import numpy as np
 import pytest
@@ -61,15 +61,15 @@ def test_what_cannot_be_told_is_said(found: Fit) -> None:
 
 def test_a_flat_direction_is_told_from_no_effect() -> None:
     """Without inertia only force / friction and noise / friction matter."""
-    crowd = Crowd(
-        Morse(0.0, 1e-2, 0.0, 2.0), Harmonic(0.2, 0.6), friction=2.0, order=1, noise=0.02
-    )
+    still, fled = Morse(0.0, 1e-2, 0.0, 2.0), Morse(0.1, 0.3, 0.0, 2.0)
+    crowd = Crowd(still, fled, friction=2.0, order=1, noise=0.02)
     world = World(sheep=10, dogs=2, seed=2)
     fitted = fit([record(crowd, world, 20.0)], crowd, hold=['crowd.sheep.'])
     told = {e.name: e for e in fitted.estimates}
-    for name in ('crowd.friction', 'crowd.noise', 'crowd.dog.stiffness'):
+    for name in ('crowd.friction', 'crowd.noise', 'crowd.dog.repulsion'):
         assert told[name].doubt == 'others can make up for it'
-    assert told['crowd.dog.reach'].is_told
+    assert told['crowd.dog.repulsion_length'].is_told
+    assert {'crowd.dog.attraction_length', 'crowd.alignment.range'} <= set(fitted.held)
     ratio = fitted.crowd.noise / fitted.crowd.friction
     assert ratio == pytest.approx(crowd.noise / crowd.friction, rel=0.1)
     names = [e.name for e in fitted.estimates]
