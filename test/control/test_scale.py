@@ -32,7 +32,7 @@ LARGE = World(sheep=60, dogs=2, seed=1)
 
 CASES = {
     'default': (Crowd(), REFERENCE, Control(), 12.0),
-    'first seconds': (Crowd(), REFERENCE, Control(), 3.0),
+    'first seconds': (Crowd(), REFERENCE, Control(), 1.5),
     'whole': (Crowd(), REFERENCE, Control(), 60.0),
     'paper': (Crowd(noise=0.02), REFERENCE, replace(PAPER, horizon=SHORT), 5.0),
     'filter': (Crowd(), REFERENCE, Control(sensor=FILTERING, horizon=SHORT), 5.0),
@@ -101,13 +101,17 @@ def test_the_same_bits_in_a_world_of_powers_of_four(case: str) -> None:
 def test_the_same_run_but_for_rounding_in_any_world(
     case: str, length: float, time: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Sixty iterations make 1e-10 of a rounding error; so sensors must not round to 1e-8."""
+    """Iterations let rounding errors grow a millionfold in a window of 20 s, and with each look.
+
+    So sensors must not round to 1e-8.
+    """
     monkeypatch.setattr('herding_ros.model.simulation.single', lambda values: values)
     here, there = in_world(case, 1.0, 1.0), in_world(case, length, time)
     assert work(there) == work(here)
+    error = 1e-5 if case == 'first seconds' else 1e-7
     for name in ('x', 'd', 'u'):
         np.testing.assert_allclose(
-            getattr(there, name), getattr(here, name), rtol=0, atol=1e-7, err_msg=name
+            getattr(there, name), getattr(here, name), rtol=0, atol=error, err_msg=name
         )
 
 

@@ -25,7 +25,8 @@ class Potential(Parameters):
     Positive slopes attract, negative ones repel. A new one is a frozen dataclass
     with these three methods, each for arrays of any shape, r > 0. The paper asks for bounded
     and locally Lipschitz first and second derivatives. A potential that ends at some distance
-    has a `reach`, where its second derivative may jump.
+    has a `reach`, where its second derivative may jump. Its numbers are quantities with units, so
+    that it can be `rescaled`, and its lengths tell its `extent`.
     """
 
     @abstractmethod
