@@ -118,7 +118,7 @@ def test_gradient_is_that_of_the_objective(leads: list[float]) -> None:
 
 
 def test_errors_of_forecasts_are_as_expected_if_the_crowd_is_right() -> None:
-    """A bit larger: at the start some sheep are thrown apart from places that are not well known."""
+    """A bit larger: at the start some are thrown apart from places that are not well known."""
     seen = [record(Crowd(), World(seed=seed), 30.0) for seed in (1, 2)]
     judged = forecast(seen, Crowd(), Sensor(), 0.05)
     np.testing.assert_array_equal(judged.ahead, [0.0, 1.0, 3.0, 10.0])
