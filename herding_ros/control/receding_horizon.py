@@ -299,8 +299,8 @@ class RecedingHorizon:
                 self._admissible,
                 model.inner,
                 self.control.max_speed,
-                control_effort.step,
                 hessian,
+                control_effort.step,
             )
             minimise = OPTIMISERS[optimiser.method]
             start = candidates[name]

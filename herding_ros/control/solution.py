@@ -32,17 +32,17 @@ class Problem:
 
     value_and_gradient: the function and its gradient, which refers to the inner product `inner`;
     project: from a point to the nearest of the set; scale: a typical component of u, such as the
-    speed limit, for the length of a first step; step: a factor that makes a short step of minus
-    the gradient, since both may have different units; hessian: what is known from a similar
-    problem, to which an optimiser may add (None: nothing).
+    speed limit, for the length of a first step; hessian: what is known from a similar problem, to
+    which an optimiser may add (None: nothing); step: a factor that makes a short step of minus the
+    gradient, which has another unit.
     """
 
     value_and_gradient: ValueAndGradient
     project: Projection
     inner: InnerProduct
     scale: float = 1.0
-    step: float = 1.0
     hessian: Hessian | None = None
+    step: float = 1.0
 
 
 @dataclass(frozen=True)

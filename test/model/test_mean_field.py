@@ -89,6 +89,7 @@ def test_blobs_are_as_wide_as_their_distance_asks_for() -> None:
     assert 0.07 / 1.12 < width < 0.07 * 1.12
     assert blob_width(2.0 * x + 3.0, 64, 2.0) == 2.0 * width
     assert blob_width(x, 16, 2.0) == 2.0 * width
+    assert blob_width(40.0 * x, 64, 80.0) == pytest.approx(40.0 * width, rel=1e-15)
     assert blob_width(x[:1], 64, 2.0) == pytest.approx(1e-3, rel=0.1)  # no area
 
 

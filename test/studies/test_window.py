@@ -24,7 +24,9 @@ import pytest
 project = Holonomic().project
 
 SHORT = Horizon(length=8.0, accepted=4.0)
-MAPPING = replace(PAPER.mapping, method='output', paths=20, max_iterations=2, tolerance=0.0)
+MAPPING = replace(
+    PAPER.mapping, method='output', paths=20, max_iterations=2, tolerance=0.0, residual=0.0
+)
 CONTROL = replace(PAPER, horizon=SHORT, mapping=MAPPING)
 HERD = {'sheep': 9, 'dogs': 2, 'sigma': 0.03, 'seed': 1}
 
