@@ -239,6 +239,18 @@ class Sensor(Parameters):
         'm/s',
         low=0.0,
     )
+    timeout: float = quantity(
+        5.0,
+        'time out of sight after which a sheep is lost; until then it is carried along by the '
+        'model, if a noise is above 0',
+        's',
+        low=TINY,
+    )
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether there is nothing to filter out."""
+        return not (self.position_noise or self.velocity_noise)
 
 
 @dataclass(frozen=True)

@@ -252,6 +252,7 @@ class Controller(HerdingNode):
             'feedbacks_made': pilot.feedbacks_made,
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
+            **pilot.filter_values(),
             **self._refused.report_values(),
             **mismatched,
         }
