@@ -38,6 +38,7 @@ setup(
     entry_points={
         'console_scripts': [
             'controller = herding_ros.programs:controller',
+            'fit = herding_ros.programs:fit',
             'herd = herding_ros.programs:herd',
             'recorder = herding_ros.programs:recorder',
             'recover = herding_ros.programs:recover',

@@ -110,5 +110,6 @@ controller = partial(_run, 'controller', 'nodes.controller', 0, 'nodes.command_l
 recorder = partial(_run, 'recorder', 'nodes.recorder', 0, 'nodes.command_line')
 herd = partial(_run, 'herd', 'nodes.herd')
 recover = partial(_run, 'recover', 'bag.cli')
+fit = partial(_run, 'fit', 'fit.cli')
 report = partial(_run, 'report', 'report.cli')
 study = partial(_run, 'study', 'studies.cli')

@@ -15,6 +15,7 @@ MAY_IMPORT = {
     'control': {'model'},
     'studies': {'model', 'control', 'report'},
     'bag': set(),
+    'fit': {'model', 'bag', 'report'},
     'report': {'bag', 'model'},
     'nodes': {'model', 'control', 'bag', 'report'},
 }

@@ -39,13 +39,16 @@ _Series = dict[str, list[Sample]]
 """The messages of each topic."""
 
 
-def read_run(path: str | os.PathLike[str], namespace: str | None = None) -> RecordedRun:
+def read_run(
+    path: str | os.PathLike[str], namespace: str | None = None, observed: bool = False
+) -> RecordedRun:
     """Read the bag in the folder `path`.
 
-    The states are the true ones where they were recorded, else the observed. When the sim was
-    reset, it is the last run that is read. `namespace` is that of sim and controller; it is needed
-    where the bag has sheep in several. Raises FileNotFoundError when there is no complete bag,
-    ValueError when it is damaged, has no sheep, or has them in several namespaces.
+    The states are the true ones where they were recorded, else the observed; `observed`: always
+    these. When the sim was reset, it is the last run that is read. `namespace` is that of sim and
+    controller; it is needed where the bag has sheep in several. Raises FileNotFoundError when
+    there is no complete bag, ValueError when it is damaged, has no sheep, or has them in several
+    namespaces.
     """
     folder = Path(path)
     metadata = read_metadata(folder)
@@ -56,7 +59,7 @@ def read_run(path: str | os.PathLike[str], namespace: str | None = None) -> Reco
     parameters = _parameters(custom_data.get('parameters', '{}'), notes)
     try:
         topics = stored_topics(files, storage)
-        names = RunTopics.choose(topics, namespace, notes)
+        names = RunTopics.choose(topics, namespace, notes, observed)
         series = _series(stored_messages(files, storage, names.types), names, notes)
     except ValueError as error:
         raise ValueError(f'the bag {folder} cannot be read: {printable(str(error))}') from error

@@ -35,8 +35,14 @@ class RunTopics:
     diagnostics: tuple[str, ...]
 
     @classmethod
-    def choose(cls, topics: Sequence[Topic], namespace: str | None, notes: Notes) -> RunTopics:
-        """Return those that have messages, truth before observation.
+    def choose(
+        cls,
+        topics: Sequence[Topic],
+        namespace: str | None,
+        notes: Notes,
+        observed: bool = False,
+    ) -> RunTopics:
+        """Return those that have messages, truth before observation, or `observed` ones alone.
 
         Raises ValueError unless there are sheep in the namespace, or in only one if it is None.
         """
@@ -45,16 +51,20 @@ class RunTopics:
 
         def with_messages(what: str, missing: str) -> str | None:
             """Return the topic of the truth if it has messages, else of the observation."""
-            named = [n for n in (f'{prefix}/truth/{what}', f'{prefix}/{what}') if n in counts]
+            sources = ('',) if observed else ('truth/', '')
+            named = [n for s in sources if (n := f'{prefix}/{s}{what}') in counts]
             full = [name for name in named if counts[name]]
             if not full:
-                notes.add(f'{" and ".join(named)} has no messages: {missing}')
+                notes.add(
+                    f'{" and ".join(named) or f"{prefix}/{what}"} has no messages: {missing}'
+                )
             elif full[0] != named[0]:
                 notes.add(f'{named[0]} has no messages: {full[0]} is read')
             return full[0] if full else None
 
         sheep = with_messages('sheep', '')
-        assert sheep is not None
+        if sheep is None:
+            raise ValueError(f'it has no observed sheep: {prefix}/sheep must have messages')
         pattern = re.compile(f'{re.escape(prefix)}(?:/truth)?/dog_(0|[1-9][0-9]{{0,5}})/odom')
         numbers = sorted({int(m[1]) for name in counts if (m := pattern.fullmatch(name))})
         dogs = {m: with_messages(f'dog_{m}/odom', f'dog {m} is left out') for m in numbers}

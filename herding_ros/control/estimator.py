@@ -30,15 +30,6 @@ from numpy.typing import NDArray
 
 from .parameters import Sensor
 
-_LEAST_NOISE = 0.005
-"""Least random force on sheep that the filter expects [m/s^1.5], for errors of the model.
-
-Without any it would soon ignore observations.
-"""
-
-_SLIP = 0.01
-"""Standard deviation of a dog from where its commands lead, after a second [m/s^0.5]."""
-
 _FAR = 6.0
 """An observation this many standard deviations from its prediction is an outlier."""
 
@@ -134,7 +125,8 @@ class StateEstimator:
     and sensor may be replaced between two observations.
 
     After an update, ids are the names (N,) of the sheep that the state has: those that were
-    observed, and then the `carried` ones out of sight. lost: names of those that it has no more.
+    observed, and then the `carried` ones out of sight. lost: names of those that it has no more;
+    is_new: whether the last observation was too long ago to go on from.
     """
 
     crowd: Crowd
@@ -145,6 +137,7 @@ class StateEstimator:
     ids: _Names = field(default_factory=lambda: np.empty(0, dtype=np.int_), init=False)
     carried: int = field(default=0, init=False)
     lost: tuple[int, ...] = field(default=(), init=False)
+    is_new: bool = field(default=False, init=False)
     _estimate: _Estimate | None = field(default=None, init=False)
 
     def reset(self) -> None:
@@ -189,14 +182,15 @@ class StateEstimator:
                     'these are estimated from positions and their noise'
                 )
             v = np.where(np.reshape(is_velocity_seen, (-1, 1)), v, np.nan)
-        self.ids, self.carried, self.lost = np.asarray(ids), 0, ()
+        self.ids, self.carried, self.lost, self.is_new = np.asarray(ids), 0, (), False
         if self.sensor.is_exact:
             return observed
         seen = np.stack([observed.x, v], axis=1)
         new = self._first(t, self.ids, names, seen, observed)
         if self._estimate is not None and self._estimate.t <= t:
             expected, elapsed = self._estimate, t - self._estimate.t
-            if elapsed <= self.sensor.timeout:
+            self.is_new = elapsed > self.sensor.timeout
+            if not self.is_new:
                 if elapsed:
                     expected = self._predicted(expected, elapsed, u)
                 new = self._corrected(expected, new, seen, observed)
@@ -228,7 +222,7 @@ class StateEstimator:
 
     def _force(self, t: float, x: Array) -> Array:
         """Return the strength of the random force on sheep at x [m/s^1.5], (n,) or ()."""
-        return np.maximum(strength(self.crowd, t, x), _LEAST_NOISE)
+        return np.maximum(strength(self.crowd, t, x), self.sensor.model_noise)
 
     @property
     def _variances(self) -> tuple[float, float]:
@@ -284,7 +278,7 @@ class StateEstimator:
         covariance = before.sheep.covariance
         for _ in range(steps):
             covariance = step @ covariance @ np.swapaxes(step, -1, -2) + force
-        slipped = before.dogs.covariance + _SLIP**2 * elapsed
+        slipped = before.dogs.covariance + self.sensor.slip**2 * elapsed
         return replace(
             before,
             sheep=replace(

@@ -14,7 +14,8 @@ import numpy as np
 from .solution import Budget, criticality, Problem, Solution, Status, ValueAndGradient
 from .spg import spg
 
-_MAX_INNER_ITERATIONS, _INNER_TOLERANCE = 100, 1e-5
+_MAX_INNER_ITERATIONS, _INNER_TOLERANCE = 100, 0.1
+"""Of each linear problem; the tolerance is relative to that of a step."""
 
 
 class Linearisation(Protocol):
@@ -47,7 +48,9 @@ def gauss_newton(
     u = project(start)
     r, s, at = residual(u), linearise(u), u
     value = _square(r) + regulariser.value_and_gradient(u)[0]
-    inner_budget = Budget(_MAX_INNER_ITERATIONS, _INNER_TOLERANCE, budget.out_of_time)
+    inner_budget = Budget(
+        _MAX_INNER_ITERATIONS, _INNER_TOLERANCE * budget.tolerance, budget.out_of_time
+    )
     status = Status.ITERATION_LIMIT
     iterations = 0
     while iterations < budget.max_iterations:

@@ -46,8 +46,10 @@ class LockstepPilot(Pilot):
         except Exception as error:
             self._record_failure(error)
         stand = np.zeros((self.dogs, 2))
-        command = stand if self._plan is None else self._plan.velocities(t, self.dogs)
-        return self._decision(command, announcement)
+        if self._plan is None:
+            return self._decision(stand, announcement)
+        asked = self._plan.velocities(t, self.dogs)
+        return self._decision(self._filtered(asked, estimate), announcement)
 
     def _check_period(self, stamp: int) -> None:
         """Compare the first two observations: a command holds from one to the next."""

@@ -25,7 +25,7 @@ def ncg(problem: Problem, start: Array, budget: Budget) -> Solution:
     value, gradient = value_and_gradient(u)
     calls = 1
     direction = -gradient
-    size = 1.0
+    size = problem.step
     status = Status.ITERATION_LIMIT
     iterations = 0
     if inner(gradient, gradient) == 0.0:
@@ -48,7 +48,7 @@ def ncg(problem: Problem, start: Array, budget: Budget) -> Solution:
             size *= 0.5
         else:
             if inner(direction + gradient, direction + gradient) > 0.0:
-                direction, size = -gradient, 1.0  # restart by steepest descent
+                direction, size = -gradient, problem.step  # restart by steepest descent
                 continue
             status = Status.NO_DESCENT
         if status is not Status.ITERATION_LIMIT:

@@ -11,18 +11,19 @@ from herding_ros.model.state import Array
 
 from .added_cost import AddedCost
 from .coarse_model import CentreSensitivity, CoarseModel
+from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
 from .gauss_newton import gauss_newton
 from .solution import Budget, never, OutOfTime, Problem, Projection, ValueAndGradient
 
 _T = TypeVar('_T')
 
-_NODE_SPACING = 0.5
-"""Time between the instants at which centres are compared [s].
+_NODE_SPACING = 0.25
+"""Time between the instants at which centres are compared, in units of 1 / friction.
 
-Sheep respond within 1 / friction = 2 s: a centre moves smoothly in between.
+Sheep respond within 1 / friction: a centre moves smoothly in between.
 """
-_TOLERANCE = 1e-4
+_FEWEST_NODES = 40
 _MAX_ITERATIONS = 5
 
 
@@ -42,17 +43,18 @@ class ParameterExtraction:
         gamma: float,
         costs: Sequence[Cost] = (),
         out_of_time: OutOfTime = never,
+        tolerance: float = 1e-4,
     ) -> None:
         """Prepare for the window of a coarse model with the optimum u_coarse.
 
         gamma [s^2] is the weight of control effort, which is the damping of `extract` and not
-        among `costs`.
+        among `costs`. A search ends when a step in L2(0, T) is at most the tolerance [m/s^0.5].
         """
         self._coarse, self._project = coarse, project
         self._u_coarse, self._gamma = u_coarse, gamma
-        self._budget = Budget(_MAX_ITERATIONS, _TOLERANCE, out_of_time)
+        self._budget = Budget(_MAX_ITERATIONS, tolerance, out_of_time)
         self._added = AddedCost.to_plan(coarse, costs, u_coarse)
-        every = max(round(_NODE_SPACING / coarse.dt), 1)
+        every = _node_spacing(coarse, len(u_coarse))
         self.centre = remembering(lambda u: centre(coarse.rollout(u).x))
         """The coarse centre under a control, (K+1, 2) [m]."""
         self._sensitivity = remembering(lambda u: coarse.centre_sensitivity(u, every))
@@ -104,12 +106,22 @@ class ParameterExtraction:
         found = gauss_newton(
             lambda u: nodes.residual(self.centre(u) - target),
             linearise,
-            Problem(regulariser, self._project, coarse.inner),
+            Problem(
+                regulariser, self._project, coarse.inner, step=ControlEffort(self._gamma).step
+            ),
             start,
             self._budget,
         )
         self.calls += found.calls
         return found.u
+
+
+def _node_spacing(coarse: CoarseModel, intervals: int) -> int:
+    """Return the number of steps between two nodes."""
+    friction, steps = coarse.crowd.friction, intervals * coarse.substeps
+    if not friction:
+        return max(steps // _FEWEST_NODES, 1)
+    return max(round(_NODE_SPACING / friction / coarse.dt), 1)
 
 
 def remembering(function: Callable[[Array], _T]) -> Callable[[Array], _T]:

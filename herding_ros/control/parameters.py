@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from herding_ros.model.bodies import Body
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
 
@@ -51,6 +52,14 @@ class Weights(Parameters):
     beyond: float = quantity(
         1.0,
         'weight of what lies beyond the window: the time that dogs need to get behind strays',
+        low=0.0,
+        live=True,
+    )
+    spacing: float = quantity(
+        0.1,
+        'weight of two dogs that are nearer to each other than bodies.separation and twice '
+        'bodies.margin; without a separation it has no effect',
+        'm^2',
         low=0.0,
         live=True,
     )
@@ -168,8 +177,15 @@ class Optimiser(Parameters):
     )
     tolerance: float = quantity(
         1e-4,
-        'pqn: decrease that the next step promises, relative to the objective; spg: length of the '
-        'projected gradient [m/s^0.5]; ncg: length of the last step [m/s^0.5]',
+        'pqn has converged when the next step promises to decrease the objective by less than '
+        'this part of it',
+        low=0.0,
+    )
+    step_tolerance: float = quantity(
+        1e-4,
+        'spg has converged when the projected gradient is no longer than this, as a step that is '
+        'short; ncg when the last step is not',
+        'm/s^0.5',
         low=0.0,
     )
     max_iterations: int = quantity(60, 'most iterations of one solve', low=1, high=10_000)
@@ -179,6 +195,11 @@ class Optimiser(Parameters):
     rules: bool = quantity(
         True, 'start from what a rule of herding does, if that costs less than the last plan'
     )
+
+    @property
+    def tolerance_of_method(self) -> float:
+        """Tolerance of the method that is chosen."""
+        return self.tolerance if self.method == 'pqn' else self.step_tolerance
 
 
 @dataclass(frozen=True)
@@ -212,8 +233,15 @@ class Mapping(Parameters):
     )
     tolerance: float = quantity(
         1e-3,
-        "output: root mean square of the expected centre's error that is small enough [m]; "
-        'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is; 0 takes all iterations',
+        "output: root mean square of the expected centre's error that is small enough; 0 takes "
+        'all iterations',
+        'm',
+        low=0.0,
+    )
+    residual: float = quantity(
+        0.3,
+        'aggressive: residual |T(u_f) - u_c*| / |u_c*| that is small enough; 0 takes all '
+        'iterations',
         low=0.0,
     )
     feedback: bool = quantity(
@@ -239,10 +267,23 @@ class Sensor(Parameters):
         'm/s',
         low=0.0,
     )
+    model_noise: float = quantity(
+        0.005,
+        'least random force on sheep that the filter expects, for errors of the model: without '
+        'any it would soon ignore observations',
+        'm/s^1.5',
+        low=0.0,
+    )
+    slip: float = quantity(
+        0.01,
+        'strength of the random walk of a dog off where its commands lead',
+        'm/s^0.5',
+        low=0.0,
+    )
     timeout: float = quantity(
-        5.0,
+        10.0,
         'time out of sight after which a sheep is lost; until then it is carried along by the '
-        'model, if a noise is above 0',
+        'model, if a noise is above 0. Longer than any time between two observations',
         's',
         low=TINY,
     )
@@ -251,6 +292,54 @@ class Sensor(Parameters):
     def is_exact(self) -> bool:
         """Whether there is nothing to filter out."""
         return not (self.position_noise or self.velocity_noise)
+
+
+@dataclass(frozen=True)
+class Bodies(Body):
+    """Bodies of dogs, and how their commands keep them apart. Distances are between middles."""
+
+    separation: float = quantity(
+        0.1, 'distance that commands keep between two dogs; 0: none', 'm', low=0.0, live=True
+    )
+    sheep_distance: float = quantity(
+        0.0,
+        'distance that commands keep from sheep as long as these stand; 0: none',
+        'm',
+        low=0.0,
+        live=True,
+    )
+    margin: float = quantity(
+        0.03,
+        'what commands keep in addition to these distances, since odometry is not exact',
+        'm',
+        low=0.0,
+        live=True,
+    )
+    delay: float = quantity(
+        0.25,
+        'distances are kept if commands take effect, on dogs as observed, this late at most; '
+        'dogs pass each other the more slowly for it',
+        's',
+        low=0.0,
+        live=True,
+    )
+    ramp: float = quantity(
+        0.5,
+        'time that a command takes from rest to full speed, which bounds how fast it changes, but '
+        'for stops and to keep dogs apart; 0: none',
+        's',
+        low=0.0,
+        live=True,
+    )
+
+    def __post_init__(self) -> None:
+        """Check that dogs that are kept apart do not touch."""
+        super().__post_init__()
+        if 0.0 < self.separation < 2.0 * self.radius:
+            raise ValueError(
+                f'Bodies.separation must be 0 or at least twice the radius, '
+                f'{2.0 * self.radius:g} m, got {self.separation!r}'
+            )
 
 
 @dataclass(frozen=True)
@@ -282,14 +371,16 @@ class Control(Parameters):
     optimiser: Optimiser = Optimiser()
     mapping: Mapping = Mapping()
     sensor: Sensor = Sensor()
+    bodies: Bodies = Bodies()
 
 
 PAPER = Control(
     weights=Weights(distance=0.0, centre=1.0, spread=1.0, dogs=0.0, beyond=0.0, terminal=0.0),
     reference=Reference(kind='interpolated'),
     horizon=Horizon(feedback=10.0),
-    optimiser=Optimiser('spg', tolerance=5e-3, rules=False),
-    mapping=Mapping('aggressive', 'plain', standard_error=0.0, tolerance=0.3),
+    optimiser=Optimiser('spg', step_tolerance=5e-3, rules=False),
+    mapping=Mapping('aggressive', 'plain', standard_error=0.0),
+    bodies=Bodies(separation=0.0, ramp=0.0),
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""
 

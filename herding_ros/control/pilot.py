@@ -15,10 +15,12 @@ import threading
 from typing import Protocol
 
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array, finite, HerdState
 import numpy as np
 from numpy.typing import NDArray
 
+from .command_filter import CommandFilter, keeps_distances
 from .estimator import StateEstimator
 from .parameters import Control
 from .plan import SLACK
@@ -129,7 +131,7 @@ class Pilot:
         """Plan by `planner`, not to be used elsewhere, for so many dogs."""
         self.dogs = dogs
         self.plans_made = self.feedbacks_made = 0
-        self.deadlines_missed = self.plans_failed = 0
+        self.deadlines_missed = self.plans_failed = self.commands_changed = 0
         self.estimate: Observed | None = None
         """The most likely state at the last observation."""
         self._planner = planner
@@ -156,6 +158,7 @@ class Pilot:
         self._said.clear()
         self._visible: tuple[int, ...] = ()
         self._command: Array = np.zeros((self.dogs, 2))  # the last one
+        self._filter = CommandFilter(self.dogs)
         self._commands, self._sum_of_commands = 0, np.zeros_like(self._command)  # since observed
         self._afresh = True
         self.estimate = None
@@ -179,7 +182,7 @@ class Pilot:
         """Names of the dogs that are not visible."""
         return [dog_name(m) for m in range(self.dogs) if m not in self._visible]
 
-    def filter_values(self) -> dict[str, object]:
+    def estimate_values(self) -> dict[str, object]:
         """Return what the filter knows of its own errors, by name; empty if there is none."""
         deviations = self._estimator.deviations
         if deviations is None:
@@ -239,6 +242,12 @@ class Pilot:
 
     def _tell_of_hidden_sheep(self) -> None:
         timeout = self._control.sensor.timeout
+        if self._estimator.is_new:
+            self._say(
+                'warning',
+                f'no observation for longer than sensor.timeout, {timeout:g} s: the filter starts '
+                'afresh',
+            )
         if self._estimator.carried:
             self._say(
                 'info',
@@ -271,6 +280,30 @@ class Pilot:
                 self._crowd, self._control, plan.window, age, estimate.state, estimate.t
             )
         )
+
+    def _filtered(self, asked: Array, estimate: Observed) -> Array:
+        """Return the commands (M, 2) [m/s] for those that a plan asks for; count and say why."""
+        control = self._control
+        if keeps_distances(control) and not isinstance(control.motion, Holonomic):
+            self._say(
+                'warning',
+                'dogs are not kept apart: bodies.separation and bodies.sheep_distance are for '
+                f'commands that are velocities, but motion is {type(control.motion).__name__}; '
+                'set both to 0',
+            )
+        command = self._filter.filtered(
+            asked, self._command, estimate.state, estimate.dogs, control
+        )
+        if command.too_near:
+            self._say(
+                'warning',
+                'dogs are nearer to each other than bodies.separation, '
+                f'{control.bodies.separation:g} m: they part',
+            )
+        if command.changed:
+            self.commands_changed += 1
+            self._say('info', 'commands are changed to keep dogs apart; they are counted')
+        return command.u
 
     def _announce(self, plan: ScheduledPlan, margin: float) -> Announcement:
         self.plans_made += 1

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from herding_ros.model.crowd import Crowd
 import numpy as np
 
-_DISTANCES = np.geomspace(1e-4, 1e4, 1601, dtype=np.float64)
-"""Where the force of a dog is looked up [m]."""
+_DISTANCES = 0.5 * np.geomspace(1e-4, 1e4, 1601, dtype=np.float64)
+"""Where the force of a dog is looked up, in extents of its potential."""
 
 _STRONG, _FELT = 0.8, 0.1
 """Parts of the greatest force: at the standoff, and at the reach."""
@@ -30,13 +30,14 @@ class Reach:
     @classmethod
     def of(cls, crowd: Crowd) -> Reach | None:
         """Return the lengths of a crowd's dogs; None if no sheep notices them."""
-        slope = crowd.dog.derivative(_DISTANCES)
+        distances = crowd.dog.extent * _DISTANCES
+        slope = crowd.dog.derivative(distances)
         force = np.abs(slope)
         greatest = float(force.max())
         if not greatest > 0.0:
             return None
 
         def last_at(part: float) -> float:
-            return float(_DISTANCES[np.flatnonzero(force >= part * greatest)[-1]])
+            return float(distances[np.flatnonzero(force >= part * greatest)[-1]])
 
         return cls(last_at(_STRONG), last_at(_FELT), bool(slope[force.argmax()] < 0.0))

@@ -105,8 +105,10 @@ class RealTimePilot(Pilot):
         self._commanding = self._commanding or self._schedule.playing(t) is not None
         if not self._commanding:
             return self._decision(None, announcement)
-        command = self._schedule.velocities(t, self.dogs)
-        return self._decision(np.zeros_like(command) if self._lost else command, announcement)
+        if self._lost or self.estimate is None:
+            return self._decision(np.zeros((self.dogs, 2)), announcement)
+        asked = self._schedule.velocities(t, self.dogs)
+        return self._decision(self._filtered(asked, self.estimate), announcement)
 
     def condition(self, t: float) -> Condition:
         """Return what the pilot is doing at t [s]."""

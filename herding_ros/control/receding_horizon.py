@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 import itertools
+import math
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
@@ -25,6 +26,7 @@ import numpy as np
 from .coarse_model import CoarseModel
 from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
+from .drift import Drift
 from .hessian import Hessian
 from .ncg import ncg
 from .objective import Objective
@@ -52,16 +54,22 @@ OPTIMISERS = {'pqn': pqn, 'spg': spg, 'ncg': ncg}
 _NO_INFLUENCE = 1e-3
 """Sheep that dogs move by less than this part of the standoff are not influenced."""
 
+_EXTRACTION_TOLERANCE = 4.5e-4
+"""Shortest step of parameter extraction that counts, as a part of full speed all along."""
+
 
 @dataclass(frozen=True)
 class _Planned:
-    """A plan with its defect (intervals + 1, 2) [m]: expected minus coarse centre.
+    """A plan of so many sheep, the centre that was expected, and the mapping's defect.
 
-    From a state that is known it grows with time. So the best guess of that of a plan from a
-    newer state is the same, not shifted in time.
+    Both (intervals + 1, 2) [m]. The defect, the expected minus the coarse centre, grows with time
+    from a state that is known. So the best guess of that of a plan from a newer state is the
+    same, not shifted in time.
     """
 
     plan: Plan
+    sheep: int
+    centre: Array
     defect: Array
 
 
@@ -93,6 +101,7 @@ class RecedingHorizon:
     seed: int = 0
     costs: Sequence[Cost] = ()
     _planned: list[_Planned] = field(default_factory=list, init=False)  # by their starts
+    _drift: Drift = field(default_factory=Drift, init=False)
     _turns: Iterator[str] = field(default_factory=lambda: itertools.cycle(RULES), init=False)
     _noise: Noise | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
@@ -113,10 +122,12 @@ class RecedingHorizon:
     def restart(self) -> None:
         """Forget all plans: the next solve starts from standing dogs."""
         self._planned, self._turns = [], itertools.cycle(RULES)
+        self._drift = Drift()
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         """Plan with these from the next solve on."""
         self.crowd, self.control, self._noise = crowd, control, None
+        self._drift = Drift()
 
     def coarse_model(self, state: HerdState) -> CoarseModel:
         """Return the model without noise: the flock itself, or the limit of a large one."""
@@ -134,10 +145,11 @@ class RecedingHorizon:
         """
         clock = Stopwatch()
         control, horizon = self.control, self.control.horizon
+        self._learn(state, t)
         coarse = self.coarse_model(state)
         budget = Budget(
             control.optimiser.max_iterations,
-            control.optimiser.tolerance,
+            control.optimiser.tolerance_of_method,
             partial(no_time_for, 'coarse'),
         )
         with clock.phase('coarse'):
@@ -160,6 +172,7 @@ class RecedingHorizon:
                 control.weights.control,
                 found.costs,
                 out_of_time,
+                _EXTRACTION_TOLERANCE * control.max_speed * math.sqrt(horizon.length),
             )
             expectation = self._expectation(state, t)
 
@@ -177,13 +190,17 @@ class RecedingHorizon:
             predicted = coarse.rollout(mapping.u)
         plan = Plan(t, horizon.control_period, mapping.u)
         defect = mapping.output - centre(predicted.x)
+        times = horizon.dt * np.arange(len(defect), dtype=np.float64)
+        expected_centre = mapping.output + self._drift.path(self.crowd, times)
         # It may be planned ahead: until it starts, what was planned before is played.
         played = [each for each in self._planned if each.plan.end > t + SLACK]
-        self._planned = _in_order([*played, _Planned(plan, defect[:: horizon.substeps])])
+        by_period = slice(None, None, horizon.substeps)
+        planned = _Planned(plan, len(state.x), expected_centre[by_period], defect[by_period])
+        self._planned = _in_order([*played, planned])
         report = SolveReport.of(
             'window', solution, mapping, expected, extraction_calls, clock.seconds()
         )
-        return Window(plan, report, horizon.dt, mapping.output, spread(predicted.x), predicted.d)
+        return Window(plan, report, horizon.dt, expected_centre, spread(predicted.x), predicted.d)
 
     def improve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
         """Improve the plan that is played at t [s] in the given state, by few iterations.
@@ -192,12 +209,15 @@ class RecedingHorizon:
         control's own time grid. no_time_for is called with 'coarse' or 'fine', see `solve`.
         """
         clock = Stopwatch()
+        self._learn(state, t)
         optimiser, horizon = self.control.optimiser, self.control.horizon
         corrects = self.control.mapping.feedback
         coarse = self.coarse_model(state)
         coarse = coarse.on_grid(1)
         budget = Budget(
-            optimiser.feedback_iterations, optimiser.tolerance, partial(no_time_for, 'coarse')
+            optimiser.feedback_iterations,
+            optimiser.tolerance_of_method,
+            partial(no_time_for, 'coarse'),
         )
         last = self._playing(t)
         defect: Array = np.zeros((horizon.intervals + 1, 2))
@@ -212,15 +232,29 @@ class RecedingHorizon:
             with clock.phase('fine'):
                 expected.append(self._expectation(state, t)(solution.u))
             defect = expected[0].centre[:: horizon.substeps] - centre(predicted.x)
-        expected_centre = centre(predicted.x) + defect
+        output = centre(predicted.x) + defect
+        times = horizon.control_period * np.arange(len(defect), dtype=np.float64)
+        expected_centre = output + self._drift.path(self.crowd, times)
         plan = Plan(t, horizon.control_period, solution.u)
         waiting = [each for each in self._planned if each.plan.t0 > t + SLACK]
-        self._planned = _in_order([_Planned(plan, defect), *waiting])
-        mapping = MappingResult(solution.u, expected_centre, Status.CONVERGED)
+        planned = _Planned(plan, len(state.x), expected_centre, defect)
+        self._planned = _in_order([planned, *waiting])
+        mapping = MappingResult(solution.u, output, Status.CONVERGED)
         report = SolveReport.of('feedback', solution, mapping, expected, 0, clock.seconds())
         return Window(
             plan, report, horizon.control_period, expected_centre, spread(predicted.x), predicted.d
         )
+
+    def _learn(self, state: HerdState, t: float) -> None:
+        """Compare the flock at t [s] with what was expected of it at the last look."""
+        horizon, last = self.control.horizon, self._playing(t)
+        if last is None or last.sheep != len(state.x) or not horizon.has_feedback:
+            return
+        periods = round((t - last.plan.t0) / horizon.control_period)
+        if 0 < periods < len(last.centre):
+            error = centre(state.x) - last.centre[periods]
+            elapsed = periods * horizon.control_period
+            self._drift.learn(self.crowd, error, elapsed, horizon.accepted, self.control.max_speed)
 
     def _playing(self, t: float) -> _Planned | None:
         """Return the plan that is played at t [s]: of those that have begun, the last."""
@@ -254,7 +288,8 @@ class RecedingHorizon:
         for substeps in sorted({1, coarse.substeps}):
             model = coarse.on_grid(substeps)
             times = model.dt * np.arange(horizon.intervals * substeps + 1, dtype=np.float64)
-            costs = [*task.costs(times, defect), *self.costs]
+            off = defect + self._drift.path(self.crowd, times)
+            costs = [*task.costs(times, off), *self.costs]
             objective = Objective([*costs, control_effort])
             value = partial(_value, model, objective, self._admissible)
             values = {name: value(u) for name, u in candidates.items()}
@@ -264,6 +299,7 @@ class RecedingHorizon:
                 self._admissible,
                 model.inner,
                 self.control.max_speed,
+                control_effort.step,
                 hessian,
             )
             minimise = OPTIMISERS[optimiser.method]
@@ -314,7 +350,6 @@ class RecedingHorizon:
     ) -> MappingResult:
         """Correct the coarse optimum for the noise."""
         mapping = self.control.mapping
-        budget = Budget(mapping.max_iterations, mapping.tolerance)
         if mapping.method == 'output':
             in_norm = mapping.tolerance * np.sqrt(self.control.horizon.length)
             return output_mapping(
@@ -322,7 +357,7 @@ class RecedingHorizon:
                 extraction.centre,
                 clock.timing('extraction', extraction.near),
                 self.control.weights.control,
-                replace(budget, tolerance=in_norm),
+                Budget(mapping.max_iterations, in_norm),
                 no_time_for,
             )
         return aggressive_mapping(
@@ -330,8 +365,8 @@ class RecedingHorizon:
             clock.timing('extraction', extraction.extract),
             self._admissible,
             coarse.inner,
-            budget,
-            MIN_DECREASE if mapping.tolerance else -np.inf,
+            Budget(mapping.max_iterations, mapping.residual),
+            MIN_DECREASE if mapping.residual else -np.inf,
             no_time_for=no_time_for,
         )
 

@@ -32,14 +32,16 @@ class Problem:
 
     value_and_gradient: the function and its gradient, which refers to the inner product `inner`;
     project: from a point to the nearest of the set; scale: a typical component of u, such as the
-    speed limit, for the length of a first step; hessian: what is known from a similar problem, to
-    which an optimiser may add (None: nothing).
+    speed limit, for the length of a first step; step: a factor that makes a short step of minus
+    the gradient, since both may have different units; hessian: what is known from a similar
+    problem, to which an optimiser may add (None: nothing).
     """
 
     value_and_gradient: ValueAndGradient
     project: Projection
     inner: InnerProduct
     scale: float = 1.0
+    step: float = 1.0
     hessian: Hessian | None = None
 
 
@@ -78,6 +80,9 @@ class Solution:
 
 
 def criticality(problem: Problem, u: Array, gradient: Array) -> float:
-    """Return the norm of the projected gradient P(u - g) - u: zero at a stationary point."""
-    step = problem.project(u - gradient) - u
+    """Return the norm of the projected gradient P(u - s g) - u, with s = `Problem.step`.
+
+    It is zero at a stationary point.
+    """
+    step = problem.project(u - problem.step * gradient) - u
     return math.sqrt(problem.inner(step, step))

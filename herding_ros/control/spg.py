@@ -12,6 +12,7 @@ from .solution import Budget, criticality, Problem, Solution, Status
 
 _MEMORY = 8
 _STEP_LIMITS = (1e-10, 1e10)
+"""Of the length of a step, relative to `Problem.step`."""
 
 
 def spg(problem: Problem, start: Array, budget: Budget) -> Solution:
@@ -27,7 +28,8 @@ def spg(problem: Problem, start: Array, budget: Budget) -> Solution:
     value, gradient = value_and_gradient(u)
     calls = 1
     recent = deque([value], maxlen=_MEMORY)
-    length = 1.0
+    length = problem.step
+    shortest, longest = (limit * problem.step for limit in _STEP_LIMITS)
     best = (value, u, criticality(problem, u, gradient))
     status = Status.ITERATION_LIMIT
     iterations = 0
@@ -54,8 +56,8 @@ def spg(problem: Problem, start: Array, budget: Budget) -> Solution:
             break
         moved, changed = step.u - u, step.gradient - gradient
         curvature = inner(moved, changed)
-        length = inner(moved, moved) / curvature if curvature > 0.0 else _STEP_LIMITS[1]
-        length = min(max(length, _STEP_LIMITS[0]), _STEP_LIMITS[1])
+        length = inner(moved, moved) / curvature if curvature > 0.0 else longest
+        length = min(max(length, shortest), longest)
         u, value, gradient = step.u, step.value, step.gradient
         recent.append(value)
     value, u, distance = best

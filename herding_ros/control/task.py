@@ -16,6 +16,7 @@ import numpy as np
 from .coarse_model import CoarseModel
 from .costs.cost import Cost
 from .costs.cost_to_go import CostToGo
+from .costs.spacing import Spacing
 from .costs.tracking import Tracking
 from .errands import Errands
 from .objective import weighted_costs
@@ -88,6 +89,9 @@ class Task:
         if errands is not None:
             to_go = weights.beyond * self.spread
             costs.append(CostToGo(errands, to_go, self.control.max_speed))
+        bodies = self.control.bodies
+        if weights.spacing and bodies.separation:
+            costs.append(Spacing(weights.spacing, bodies.separation + 2.0 * bodies.margin))
         return costs
 
     def rule_plans(self, model: CoarseModel, names: Sequence[str]) -> dict[str, Array]:

@@ -95,8 +95,10 @@ def prepare(
     if not np.isfinite([low, high]).all() or (high == low).all():  # lost, or all in one place
         return direct
     margin = _MARGIN * (high - low).max()
-    octaves = np.ceil(_BOXES_PER_OCTAVE * np.log2(high - low + 2.0 * margin)) / _BOXES_PER_OCTAVE
-    low, extent = low - 0.5 * (2.0**octaves - (high - low)), 2.0**octaves
+    unit = potential.extent
+    octaves = np.ceil(_BOXES_PER_OCTAVE * np.log2((high - low + 2.0 * margin) / unit))
+    extent = unit * 2.0 ** (octaves / _BOXES_PER_OCTAVE)
+    low = low - 0.5 * (extent - (high - low))
     sample = np.linspace(0, n - 1, min(_CHECKED, n)).astype(int)
     exact = np.zeros((2, kernels.lanes(len(sample))))
     places = np.zeros_like(exact)

@@ -37,8 +37,8 @@ blurred. Compared with 10,000 sheep, any value from 0.6 to 0.8 does as well.
 """
 _WIDTHS_PER_OCTAVE = 4
 """Widths are rounded, so that one table serves many windows."""
-_LEAST_WIDTH = 1e-3
-"""Least width [m], for a flock in one point or on a line."""
+_LEAST_WIDTH = 5e-4
+"""Least width in extents of the potential, for a flock in one point or on a line."""
 
 
 def mean_field(crowd: Crowd, state: HerdState, markers: int) -> tuple[Crowd, HerdState]:
@@ -48,16 +48,21 @@ def mean_field(crowd: Crowd, state: HerdState, markers: int) -> tuple[Crowd, Her
     order of the squared distance between two blobs and the same for all controls.
     """
     x, v = leaves(state, markers)
-    sheep = Mollified(crowd.sheep, blob_width(state.x, markers))
+    sheep = Mollified(crowd.sheep, blob_width(state.x, markers, crowd.sheep.extent))
     return replace(crowd, sheep=sheep), HerdState(x, v, state.d)
 
 
-def blob_width(x: Array, markers: int) -> float:
-    """Return the width [m] of blobs that cover a flock at x (N, 2) [m]."""
+def blob_width(x: Array, markers: int, extent: float) -> float:
+    """Return the width [m] of blobs that cover a flock at x (N, 2) [m].
+
+    It is rounded in units of the extent [m] of the potential between sheep.
+    """
     # That of the ellipse with these variances, each a quarter of a squared half-axis.
     area = 4.0 * math.pi * math.sqrt(max(float(np.linalg.det(np.cov(x.T, ddof=0))), 0.0))
-    width = max(_OVERLAP * math.sqrt(area / markers), _LEAST_WIDTH)
-    return float(2.0 ** (round(_WIDTHS_PER_OCTAVE * math.log2(width)) / _WIDTHS_PER_OCTAVE))
+    width = max(_OVERLAP * math.sqrt(area / markers) / extent, _LEAST_WIDTH)
+    return float(
+        extent * 2.0 ** (round(_WIDTHS_PER_OCTAVE * math.log2(width)) / _WIDTHS_PER_OCTAVE)
+    )
 
 
 def leaves(state: HerdState, count: int) -> tuple[Array, Array]:

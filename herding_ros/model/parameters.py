@@ -14,12 +14,14 @@ from typing import Any, get_type_hints, NamedTuple, TypeVar
 
 import numpy as np
 
+from .units import factor
+
 _P = TypeVar('_P', bound='Parameters')
 
 TINY = 1e-9
 """Lower bound of quantities that must be positive."""
 
-LARGE = 1e6
+LARGE = 1e9
 """Bound of numbers that have no other: products of some such numbers are finite."""
 
 
@@ -95,6 +97,31 @@ class Parameters:
         if unknown := sorted(set(values) - set(self.flat(prefix))):
             raise ValueError(f'{type(self).__name__} has no parameter {", ".join(unknown)}')
         return _replaced(self, values, prefix)
+
+    def rescaled(self: _P, length: float, time: float) -> _P:
+        """Return these parameters in a world whose lengths and times are so many times ours.
+
+        Each value is multiplied by the `factor` of its unit. Integers stay: they count steps, or
+        wall time. Raises ValueError for a part that is not made of parameters, such as a function
+        of the user's: its units are not known.
+        """
+        changes: dict[str, Any] = {}
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, Parameters):
+                changes[field.name] = value.rescaled(length, time)
+            elif not field.metadata:
+                raise ValueError(
+                    f'{type(self).__name__}.{field.name} must be made of parameters, whose units '
+                    f'are known, to be rescaled, got {value!r}'
+                )
+            elif field.metadata['unit'] and not isinstance(value, int):
+                times = factor(field.metadata['unit'], length, time)
+                several = isinstance(value, tuple)
+                changes[field.name] = (
+                    tuple(times * each for each in value) if several else times * value
+                )
+        return dataclasses.replace(self, **changes)
 
 
 def _replaced(parameters: _P, values: Mapping[str, Any], prefix: str) -> _P:

@@ -36,8 +36,8 @@ _LARGE = 512
 """Flocks with more sheep are computed path by path, rather than PATHS paths at once."""
 
 _STEP_PER_RELAXATION = 0.2
-_LONGEST_STEP = 0.4
-"""Time step of sheep that only dogs act on: in units of 1 / friction, and at most [s].
+_LONGEST_STEP = 4
+"""Time step of sheep that only dogs act on: in units of 1 / friction, and at most [commands].
 
 Dogs and their forces hardly change meanwhile.
 """
@@ -172,8 +172,9 @@ def _paths_in_field(
 def alone(fine: FineModel) -> Resolution:
     """Return sheep that only dogs act on, with a time step as long as friction and dogs allow."""
     friction = fine.crowd.friction
-    longest = min(_LONGEST_STEP, _STEP_PER_RELAXATION / friction if friction else np.inf)
-    most = min(max(int(longest / fine.dt * (1.0 + 1e-9)), 1), fine.steps)
+    relaxed = _STEP_PER_RELAXATION / friction / fine.dt if friction else np.inf
+    longest = min(_LONGEST_STEP * fine.substeps, relaxed)
+    most = min(max(int(longest * (1.0 + 1e-9)), 1), fine.steps)
     return Resolution(1, next(k for k in range(most, 0, -1) if fine.steps % k == 0))
 
 

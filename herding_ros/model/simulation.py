@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .bodies import Body, closest, touches
 from .crowd import Crowd
-from .flock import Arrival, arrived, spread, without_strays
+from .flock import Arrival, arrived, centre, spread, without_strays
 from .motion import Holonomic, MotionModel
 from .parameters import Parameters, quantity, TINY
-from .scenario import DOG_RADIUS, initial_herd, MOST_DOGS, MOST_SHEEP
+from .scenario import initial_herd, MOST_DOGS, MOST_SHEEP, Start
 from .state import Array, HerdState
 
 
@@ -32,6 +33,8 @@ class World(Parameters):
     )
     max_speed: float = quantity(5e-2, 'a dog runs no faster than this', 'm/s', low=TINY)
     motion: MotionModel = Holonomic()
+    bodies: Body = Body()
+    start: Start = Start()
     arrival: Arrival = Arrival()
 
     def __post_init__(self) -> None:
@@ -69,22 +72,41 @@ class Simulation:
     come from separate streams, so that observing the herd does not change it.
     """
 
-    def __init__(self, crowd: Crowd, world: World, goal: Array) -> None:
-        """Start from the scenario; goal (2,) [m] decides the side the dogs start on.
+    def __init__(
+        self, crowd: Crowd, world: World, goal: Array, start: HerdState | None = None
+    ) -> None:
+        """Start from a herd, (M, 2) positions of dogs, by default that of `World.start`.
 
-        Dogs that attract start ahead of the flock.
+        For that, goal (2,) [m] decides the side that dogs start on; dogs that attract start ahead
+        of the flock. Raises ValueError if the herd has not as many sheep and dogs as the world.
         """
         self.crowd = crowd
         self.world = world
         self.goal = goal
         flock = np.random.default_rng(world.seed)
-        attract = bool(crowd.dog.derivative(np.array([DOG_RADIUS])) > 0.0)
-        herd = initial_herd(world.sheep, world.dogs, goal, flock, ahead=attract)
-        facing = np.arctan2(-herd.d[:, 1], -herd.d[:, 0])  # the flock, from their places around it
+        herd = start
+        if herd is None:
+            places = world.start
+            attract = bool(crowd.dog.derivative(np.array([places.dog_radius])) > 0.0)
+            herd = initial_herd(world.sheep, world.dogs, goal, flock, attract, places)
+            to_flock = places.centre - herd.d
+        else:
+            for name, points in (('sheep', herd.x), ('dogs', herd.d)):
+                if getattr(world, name) != len(points):
+                    raise ValueError(
+                        f'{name} must be as many as the start has, {len(points)}, '
+                        f'got {getattr(world, name)}'
+                    )
+            to_flock = centre(herd.x) - herd.d
+        facing = np.arctan2(to_flock[:, 1], to_flock[:, 0])
         dogs = world.motion.state(herd.d, facing, np.zeros_like(herd.d))
         self.state = replace(herd, d=dogs)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
         self.periods = 0
+        self.touches = touches(self.state.dogs[None], world.bodies.radius)
+        """How often two dogs have come to touch; they run on all the same."""
+        self.closest_dogs = closest(self.state.dogs[None])
+        """The smallest distance there was between two dogs [m]; infinite for a single dog."""
         self.initial_spread = float(spread(single(self.flock)))
         self._process, self._sensor = flock.spawn(2)
 
@@ -123,9 +145,16 @@ class Simulation:
         state = self._moved(u, noise)
         if not np.isfinite(single(np.stack([state.x, state.v]))).all():
             raise ValueError('positions and velocities must be finite in single precision')
+        self._count_touches(state.dogs)
         self.state = state
         self.dog_velocities = u
         self.periods += 1
+
+    def _count_touches(self, dogs: Array) -> None:
+        radius, before = self.world.bodies.radius, self.state.dogs[None]
+        both = np.concatenate([before, dogs[None]])
+        self.touches += touches(both, radius) - touches(before, radius)
+        self.closest_dogs = min(self.closest_dogs, closest(dogs[None]))
 
     def _moved(self, u: Array, noise: Array) -> HerdState:
         """Return the state after a control period of dogs' velocities u under this noise."""

@@ -16,6 +16,7 @@ from .motion import Holonomic
 from .particle_mesh import ParticleMesh
 from .potentials import Mollified, Morse
 from .sampling import FineModel, free, Resolution
+from .separation_kernels import nearest, spacing
 from .state import HerdState
 from .tracking_cost import tracking_cost
 
@@ -51,6 +52,9 @@ def warm_up(crowd: Crowd | None = None) -> float:
     nodes = np.ones(kernels.PATHS // 2, dtype=np.int_)
     xs, vs, dogs = trajectory.xs, trajectory.vs, np.empty((2, 2, kernels.PATHS))
     kernels.centre_adjoints(xs, vs, d, nodes, constants, dogs)
+    pair, alone = np.array([0]), np.array([-1])
+    nearest(np.ones((1, 2)), pair, alone, np.ones((1, 2)), np.ones(1), 1, 1.0)
+    spacing(d, 1.0, 1.0, np.zeros_like(d))
     Holonomic().project(u, 1.0)
     Holonomic().transpose(d, u, reverse_sweep(crowd, trajectory, source), 0.01, 1)
     return time.perf_counter() - started

@@ -46,8 +46,8 @@ from .publishing import (
 from .running import CannotGoOnError, run
 from .settings import ControllerSettings
 
-_PATH_SPACING = 0.5
-"""Time between two poses of a path [s]."""
+_POSES = 40
+"""A path of a window has about so many poses."""
 
 _STATE_PERIOD = 1.0
 """Wall time between two messages on /diagnostics about the node itself [s]."""
@@ -67,7 +67,7 @@ class Controller(HerdingNode):
         super().__init__('controller')
         self._settings = settings = declare(self, ControllerSettings())
         crowd = declare_crowd(self)
-        control = declare_control(self)
+        control = declare_control(self, crowd)
         self._control = control
         self._control_period = control.horizon.control_period
         self._decided = 0  # time of the last decision [ns]
@@ -213,7 +213,7 @@ class Controller(HerdingNode):
         per_command = round(window.plan.dt / window.dt)
         dogs, names = window.dogs[:-1:per_command], tuple(dog_name(m) for m in members)
         self._plan.publish(messages.trajectory(window.plan, dogs, names, start, frame))
-        every = max(round(_PATH_SPACING / window.dt), 1)
+        every = max(len(window.centre) // _POSES, 1)
         spacing = every * window.dt
         self._herd_path.publish(messages.path(window.centre[::every], spacing, start, frame))
         for m, route in zip(members, window.dogs[::every].swapaxes(0, 1), strict=True):
@@ -252,7 +252,8 @@ class Controller(HerdingNode):
             'feedbacks_made': pilot.feedbacks_made,
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
-            **pilot.filter_values(),
+            'commands_changed': pilot.commands_changed,
+            **pilot.estimate_values(),
             **self._refused.report_values(),
             **mismatched,
         }

@@ -6,11 +6,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 import itertools
 import os
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from herding_ros.control.lead import FASTEST, lead_at, SLOWEST
 from herding_ros.model.flock import MOST_STRAYS
@@ -21,6 +23,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rich.console import Console
 
+from .configuration import assignment, checked, parameters_of
 from .middleware import start_ros
 from .progress import ProgressLine, Watcher
 from .signals import note_signals, Noted
@@ -51,6 +54,51 @@ def _number(kind: type[int] | type[float], low: float, high: float) -> Callable[
     return read
 
 
+@dataclass(frozen=True)
+class _Option:
+    """An option that is a parameter of the nodes by another name; how: for argparse."""
+
+    parameter: str
+    how: dict[str, Any]
+
+
+_OPTIONS = {
+    'sheep': _Option('sheep', {
+        'type': _number(int, 1, MOST_SHEEP), 'metavar': 'N', 'help': 'number of sheep (30)',
+    }),
+    'dogs': _Option('dogs', {
+        'type': _number(int, 1, MOST_DOGS), 'metavar': 'M', 'help': 'number of dogs (5)',
+    }),
+    'sigma': _Option('crowd.noise', {
+        'type': _number(float, 0.0, LARGE), 'help': 'noise of the sheep (0.01)',
+    }),
+    'goal': _Option('goal', {
+        'type': _number(float, -LARGE, LARGE), 'nargs': 2, 'metavar': ('X', 'Y'),
+        'help': 'destination in metres (0.5 0.5); the flock starts around the origin',
+    }),
+    'seed': _Option('seed', {
+        'type': _number(int, 0, 2**63 - 1), 'help': 'same seed, same run (0)',
+    }),
+    'strays': _Option('arrival.strays', {
+        'type': _number(int, 0, MOST_STRAYS), 'metavar': 'K',
+        'help': 'number of sheep that may be left behind (0)',
+    }),
+    'time-limit': _Option('time_limit', {
+        'type': _number(float, TINY, LARGE), 'metavar': 'S',
+        'help': 'simulated seconds to try (400)',
+    }),
+}  # fmt: skip
+
+_NODES = ('recorder', 'controller', 'sim')
+
+_DEFAULTS = {'sheep': 30, 'dogs': 5, 'goal': GOAL, 'seed': 0, 'arrival.strays': 0,
+             'time_limit': 400.0}  # fmt: skip
+"""Parameters whose values herd needs to know itself."""
+
+_OWN = {'lockstep', 'wait_for', 'stop_on_arrival', 'bag', 'use_sim_time', 'real_time_factor'}
+"""Parameters that herd sets itself, whatever a file says."""
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='herd',
@@ -63,33 +111,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add(
-        '--sheep',
-        type=_number(int, 1, MOST_SHEEP),
-        default=30,
-        metavar='N',
-        help='number of sheep (30)',
-    )
-    add(
-        '--dogs',
-        type=_number(int, 1, MOST_DOGS),
-        default=5,
-        metavar='M',
-        help='number of dogs (5)',
-    )
-    add('--sigma', type=_number(float, 0.0, LARGE), default=0.01, help='noise of the sheep (0.01)')
-    add(
-        '--goal', type=_number(float, -LARGE, LARGE), nargs=2, default=GOAL, metavar=('X', 'Y'),
-        help='destination in metres (0.5 0.5); the flock starts around the origin',
-    )  # fmt: skip
-    add('--seed', type=_number(int, 0, 2**63 - 1), default=0, help='same seed, same run (0)')
-    add(
-        '--strays', type=_number(int, 0, MOST_STRAYS), default=0, metavar='K',
-        help='number of sheep that may be left behind (0)',
+        '--config', type=Path, action='append', default=[], metavar='FILE',
+        help='parameter file of the nodes; of several the last one counts',
     )  # fmt: skip
     add(
-        '--time-limit', type=_number(float, TINY, LARGE), default=400.0, metavar='S',
-        help='simulated seconds to try (400)',
+        '-p', '--parameter', action='append', default=[], metavar='NAME:=VALUE',
+        help='a parameter of those nodes that have it; counts more than --config',
     )  # fmt: skip
+    for name, option in _OPTIONS.items():
+        add(f'--{name}', **option.how)
     add(
         '--real-time', type=_number(float, SLOWEST, FASTEST), metavar='FACTOR',
         help='run at FACTOR x real time instead of in lockstep, as fast as possible',
@@ -99,6 +129,27 @@ def _parser() -> argparse.ArgumentParser:
         help='where to write (runs/<time>); must not hold a bag yet',
     )  # fmt: skip
     return parser
+
+
+def _values(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node, as files, assignments and options give them.
+
+    An option counts more than an assignment, and that more than a file. Raises ValueError for what
+    is not a parameter file, an assignment or a parameter.
+    """
+    files = [parameters_of(file) for file in options.config]
+    assigned = dict(map(assignment, options.parameter))
+    for name in assigned.keys() & _OWN:
+        raise ValueError(f'{name} is set by herd itself; see herd --help')
+    for name, option in _OPTIONS.items():
+        value = getattr(options, name.replace('-', '_'))
+        if value is not None:
+            assigned[option.parameter] = value
+    values = {}
+    for node in _NODES:
+        of_files = {name: value for file in files for name, value in file(node, '').items()}
+        values[node] = checked({**_DEFAULTS, **of_files, **assigned})
+    return values
 
 
 def _new_folder() -> Path:
@@ -125,21 +176,19 @@ def _check_folder(folder: Path) -> None:
 
 def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     lockstep = options.real_time is None
-    shared = {'goal': options.goal, 'lockstep': lockstep, 'wait_for': 'recorder',
-              'dogs': options.dogs, 'seed': options.seed,
-              'crowd.noise': options.sigma}  # fmt: skip
-    recorder = {'bag': options.out / 'bag', 'use_sim_time': True}
     # In lockstep the stamps are the time, and the clock would only wake the controller.
-    controller = {**shared, 'use_sim_time': not lockstep}
-    sim = {**shared, 'sheep': options.sheep, 'stop_on_arrival': True,
-           'arrival.strays': options.strays, 'time_limit': options.time_limit}  # fmt: skip
+    own = {'lockstep': lockstep, 'wait_for': 'recorder', 'stop_on_arrival': True}
+    own_of = {
+        'recorder': {'bag': options.out / 'bag', 'use_sim_time': True},
+        'controller': {**own, 'use_sim_time': not lockstep},
+        'sim': own,
+    }
+    defaults: dict[str, Any] = {}
     if not lockstep:
-        sim['real_time_factor'] = options.real_time
-        controller['lead'] = lead_at(options.real_time)
+        own['real_time_factor'] = options.real_time
+        defaults['lead'] = lead_at(options.real_time)
     return [
-        Child('recorder', recorder, logs),
-        Child('controller', controller, logs),
-        Child('sim', sim, logs),
+        Child(node, {**defaults, **options.values[node], **own_of[node]}, logs) for node in _NODES
     ]
 
 
@@ -199,10 +248,14 @@ def main(args: list[str] | None = None) -> int:
     """Run the program; see --help for the exit codes."""
     parser = _parser()
     options = parser.parse_args(args)
-    if options.strays >= options.sheep:
-        parser.error(
-            f'argument --strays: must be less than --sheep, {options.sheep}, got {options.strays}'
-        )
+    try:
+        options.values = _values(options)
+    except ValueError as error:
+        parser.error(str(error))
+    sim = options.values['sim']
+    sheep, strays = sim['sheep'], sim['arrival.strays']
+    if not strays < sheep:
+        parser.error(f'argument --strays: must be less than --sheep, {sheep}, got {strays}')
     console = Console(highlight=False)
     try:
         options.out = options.out.absolute() if options.out else _new_folder()
@@ -215,11 +268,13 @@ def main(args: list[str] | None = None) -> int:
 
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     console.print(
-        f'herding {options.sheep} sheep with {options.dogs} dogs to '
-        f'({options.goal[0]:g}, {options.goal[1]:g}) on ROS_DOMAIN_ID '
+        f'herding {sheep} sheep with {sim["dogs"]} dogs to '
+        f'({sim["goal"][0]:g}, {sim["goal"][1]:g}) on ROS_DOMAIN_ID '
         f'{os.environ.get("ROS_DOMAIN_ID", "0")}; output in {options.out}',
         soft_wrap=True,
     )
+    if names := sorted(set().union(*options.values.values()) & _OWN - {'use_sim_time'}):
+        console.print(f'herd itself sets {", ".join(names)}: what a file says does not count')
     code = _run(options, logs, console)
     if (options.out / 'bag').exists():
         from herding_ros.report.cli import write_report  # it takes a second to load: not before

@@ -6,7 +6,7 @@ Without launch itself, which not every ROS installation has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 import re
@@ -19,9 +19,10 @@ from ament_index_python.packages import (
     PackageNotFoundError,
 )
 from herding_ros.control.lead import lead_at
-from herding_ros.control.parameters import check_lockstep, Horizon
+from herding_ros.control.parameters import check_lockstep, Control
 import yaml
 
+from .configuration import crowd_of, parameters_of
 from .publishing import CLOCK
 
 
@@ -166,7 +167,7 @@ def _plan(nodes: tuple[str, ...], values: dict[str, Any]) -> LaunchPlan:
     told['wait_for'] = 'recorder' if record else ''
     if rviz:
         _require('rviz2', 'rviz:=true')
-    written = _parameters_of(config)
+    written = parameters_of(config)
     if 'lead' not in written('controller', namespace) and 'real_time_factor' in told:
         told['lead'] = lead_at(told['real_time_factor'])
     if 'sim' in nodes and told['lockstep']:
@@ -175,12 +176,17 @@ def _plan(nodes: tuple[str, ...], values: dict[str, Any]) -> LaunchPlan:
 
 
 def _check_lockstep(sim: Mapping[str, Any], controller: Mapping[str, Any]) -> None:
-    from herding_ros.model.simulation import World  # it takes a second, and is seldom needed
+    from herding_ros.control.scale import Scale  # it takes a second, and is seldom needed
+    from herding_ros.model.simulation import World
 
-    world = World()
+    def value(name: str, given: Mapping[str, Any], reference: Control | World) -> Any:
+        speed = given.get('max_speed', reference.max_speed)
+        defaults = Scale.of(crowd_of(given), speed).apply(reference)
+        return given.get(name, defaults.flat()[name])
+
     check_lockstep(
-        controller.get('horizon.control_period', Horizon().control_period),
-        sim.get('dt', world.dt) * sim.get('substeps', world.substeps),
+        value('horizon.control_period', controller, Control()),
+        value('dt', sim, World()) * value('substeps', sim, World()),
     )
 
 
@@ -192,48 +198,6 @@ def _require(package: str, argument: str) -> None:
             f'{argument} needs the package {package}, which must be installed and sourced: '
             f'sudo apt install ros-jazzy-{package}'
         ) from None
-
-
-# Parameter files.
-
-
-def _parameters_of(file: Path) -> Callable[[str, str], dict[str, Any]]:
-    """Return a function of a node and its namespace that gives what the file tells it, flat."""
-    try:
-        content = yaml.safe_load(file.read_text(encoding='utf-8'))
-        sections = {
-            f'/{name.strip("/")}': dict(_flat(section['ros__parameters']))
-            for name, section in content.items()
-        }
-    except (yaml.YAMLError, OSError, ValueError, AttributeError, TypeError, KeyError) as error:
-        raise ValueError(
-            f'config must be a file of sections /**: ros__parameters: ..., got {file}: {error}'
-        ) from None
-
-    def told(node: str, namespace: str) -> dict[str, Any]:
-        name = f'{namespace}/{node}'
-        return {
-            key: value
-            for section, values in sections.items()
-            if re.fullmatch(_pattern(section), name)
-            for key, value in values.items()
-        }
-
-    return told
-
-
-def _pattern(section: str) -> str:
-    """Return the regular expression of the names of nodes that a section is for, as in rcl."""
-    wild = {'**': '(/[^/]+)*', '*': '/[^/]+'}
-    return ''.join(wild.get(word, f'/{re.escape(word)}') for word in section.split('/')[1:])
-
-
-def _flat(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f'{prefix}{key}.')
-        else:
-            yield f'{prefix}{key}', value
 
 
 # RViz.

@@ -9,7 +9,8 @@ import sys
 from typing import Any, TypeVar
 
 from herding_ros.control.parameters import Control, CONTROLS
-from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.control.scale import Scale
+from herding_ros.model.crowd import Crowd
 from herding_ros.model.parameters import check, describe_limits, Entry, Parameters
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -33,13 +34,34 @@ def declare(node: Node, defaults: _P, prefix: str = '') -> _P:
 
 def declare_crowd(node: Node) -> Crowd:
     """Declare the crowd: `crowd.preset` gives the defaults of the other `crowd.` parameters."""
-    preset = declare(node, CrowdPreset(), 'crowd.').preset
-    return declare(node, CROWDS[preset], 'crowd.')
+    return declare(node, declare(node, CrowdPreset(), 'crowd.').crowd, 'crowd.')
 
 
-def declare_control(node: Node) -> Control:
+def declare_control(node: Node, crowd: Crowd) -> Control:
     """Declare the method of the controller: `preset` gives the defaults of its parameters."""
-    return declare(node, CONTROLS[declare(node, ControlPreset()).preset])
+    return declare_scaled(node, CONTROLS[declare(node, ControlPreset()).preset], crowd)
+
+
+def declare_scaled(node: Node, reference: _P, crowd: Crowd) -> _P:
+    """Declare what has a `max_speed` of dogs, with defaults that fit that and the crowd.
+
+    `reference` are the defaults in the reference scenario; see `Scale`. Where they are others, the
+    log says so.
+    """
+    (limit,) = (entry for entry in reference.walk() if entry.name == 'max_speed')
+    speed = _declare_entry(node, limit)
+    scale = Scale.of(crowd, speed)
+    defaults = scale.apply(reference)
+    if scale != Scale(1.0, 1.0):
+        node.get_logger().info(
+            f'defaults fit the crowd and dogs of {speed:g} m/s: {scale} (doc/parameters.md)'
+        )
+    others = {
+        entry.name: _declare_entry(node, entry)
+        for entry in defaults.walk()
+        if entry.name != limit.name
+    }
+    return defaults.with_values({**others, limit.name: speed})
 
 
 def check_parameter(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:

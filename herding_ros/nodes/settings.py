@@ -7,7 +7,7 @@ import dataclasses
 
 from herding_ros.control.lead import FASTEST, SLOWEST
 from herding_ros.control.parameters import CONTROLS, Timing
-from herding_ros.model.crowd import CROWDS
+from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import Parameters, quantity, TINY
 from herding_ros.model.scenario import GOAL, MOST_DOGS
 
@@ -51,6 +51,14 @@ class SimSettings(NodeSettings):
         low=SLOWEST,
         high=FASTEST,
         live=True,
+    )
+    start_from: str = quantity(
+        '',
+        'CSV file or bag with the positions from which sheep and dogs start; empty: those of '
+        'start.*',
+    )
+    start_at: float = quantity(
+        0.0, 'the instant of that bag, from its first state on', 's', low=0.0
     )
     command_timeout: float = quantity(
         0.5, 'a dog stops when its last command is older than this', 's', low=TINY
@@ -98,6 +106,17 @@ class CrowdPreset(Parameters):
     preset: str = quantity(
         'cohesive', 'where the defaults of crowd.* come from', choices=tuple(CROWDS)
     )
+    length: float = quantity(
+        1.0, "so many times as long are the crowd's lengths as those of the preset", low=TINY
+    )
+    time: float = quantity(
+        1.0, "so many times as long are the crowd's times as those of the preset", low=TINY
+    )
+
+    @property
+    def crowd(self) -> Crowd:
+        """The crowd whose values are the defaults."""
+        return CROWDS[self.preset].rescaled(self.length, self.time)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 import sys
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -29,7 +30,7 @@ from .duplicates import ANOTHER_CLOCK, sole_publisher
 from .herding_node import HerdingNode
 from .mismatches import Mismatches
 from .pacing import Lockstep, Pace, RealTime
-from .parameters import declare, declare_crowd
+from .parameters import declare, declare_crowd, declare_scaled
 from .publishing import (
     ADJUSTABLE,
     CLOCK,
@@ -41,6 +42,7 @@ from .publishing import (
 from .running import run
 from .settings import SimSettings
 from .simulated_run import SimulatedRun
+from .start import read_start
 
 _PERIODS_PER_MARKER = 5
 
@@ -60,11 +62,15 @@ class Sim(HerdingNode):
         super().__init__('sim', parameter_overrides=[Parameter('use_sim_time', value=False)])
         self._settings = settings = declare(self, SimSettings())
         crowd = declare_crowd(self)
-        world = declare(self, World())
+        world = declare_scaled(self, World(), crowd)
         self.load_kernels(partial(warm_up_rollout, crowd))
+        start = None
+        if settings.start_from:
+            start = read_start(Path(settings.start_from).expanduser(), settings.start_at)
         self._run = SimulatedRun(
-            crowd, world, np.array(settings.goal), settings.stop_on_arrival, settings.time_limit
-        )
+            crowd, world, np.array(settings.goal), settings.stop_on_arrival, settings.time_limit,
+            start,
+        )  # fmt: skip
         self._pace: Pace | None = None
         self._create_publishers(world.dogs)
         self._commands = DogCommands(
@@ -192,7 +198,11 @@ class Sim(HerdingNode):
         self._publish_dogs(self._true_dogs, true.d, u)
         if simulation.periods % _PERIODS_PER_MARKER == 0:
             goal = self._run.goal
-            self._markers.publish(messages.marker_array(true.x, true.dogs, goal, ns, frame))
+            self._markers.publish(
+                messages.marker_array(
+                    true.x, true.dogs, goal, self._run.world.arrival.radius, ns, frame
+                )
+            )
 
     def _publish_dogs(self, publishers: list[Publisher], d: Array, u: Array) -> None:
         """Publish odometry of dogs in states d (M, S) with velocities u (M, 2) [m/s]."""
@@ -216,10 +226,12 @@ class Sim(HerdingNode):
             'finished': self._run.finished,
             'outcome': self._run.outcome,
             'periods_skipped': skipped,
+            'closest_dogs_m': simulation.closest_dogs,
+            'touches': simulation.touches,
             **self._refused.report_values(),
             **mismatched,
         }
-        good = not (self._refused.counts or mismatched or skipped)
+        good = not (self._refused.counts or mismatched or skipped or simulation.touches)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.simulation import Simulation, World
-from herding_ros.model.state import Array
+from herding_ros.model.state import Array, HerdState
 import numpy as np
 
 
@@ -19,20 +19,27 @@ class SimulatedRun:
     """
 
     def __init__(
-        self, crowd: Crowd, world: World, goal: Array, stop_on_arrival: bool, time_limit: float
+        self,
+        crowd: Crowd,
+        world: World,
+        goal: Array,
+        stop_on_arrival: bool,
+        time_limit: float,
+        start: HerdState | None = None,
     ) -> None:
-        """Start; the dogs are on the side away from goal (2,) [m]."""
+        """Start from a herd, by default that of `world.start`, see `Simulation`; goal (2,) [m]."""
         self.world = world
         self.paused = False
         self._crowd = crowd
         self._first_goal = self._goal = goal
         self._stop_on_arrival = stop_on_arrival
         self._time_limit = time_limit
+        self._start = start
         self.restart()
 
     def restart(self) -> None:
         """Start again from the same state at time 0; the goal stays where it was moved to."""
-        self.simulation = Simulation(self._crowd, self.world, self._first_goal)
+        self.simulation = Simulation(self._crowd, self.world, self._first_goal, self._start)
         self.simulation.goal = self._goal
         self.outcome = ''
         """How the run ended; '' before."""

@@ -76,6 +76,11 @@ def _in_words(summary: dict[str, Any]) -> str:
             f'{herd}, to ({x:g}, {y:g}): {result} {summary["time_s"]:.1f} s',
             f'distance at the end {summary["final_distance_m"]:.3f} m, {spread}',
         ]
+    if summary['closest_dogs_m'] is not None:
+        lines.append(
+            f'dogs at least {summary["closest_dogs_m"]:.3f} m from each other, '
+            f'{summary["touches"]} touches'
+        )
     if summary['solve_ms_median'] is not None:
         lines.append(
             f'{summary["replans"]} replans, solved in {summary["solve_ms_median"]:.0f} ms '

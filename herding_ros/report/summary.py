@@ -8,6 +8,7 @@ from typing import Any
 
 from herding_ros.bag.notes import Notes
 from herding_ros.bag.recorded_run import Array, RecordedRun
+from herding_ros.model.bodies import Body, closest, touches
 from herding_ros.model.flock import Arrival, arrived, distance, spread, without_strays
 import numpy as np
 
@@ -24,6 +25,15 @@ def arrival(run: RecordedRun) -> tuple[Arrival, tuple[str, ...]]:
     except ValueError as error:
         notes.add(f'the arrival is judged by the default parameters: {error}')
         return usual, notes.lines()
+
+
+def radius_of_dogs(run: RecordedRun) -> float:
+    """Return the radius of a dog [m] by the parameters of sim or controller, else the default."""
+    for node in ('sim', 'controller'):
+        radius = run.parameters.get(f'{run.namespace}/{node}', {}).get('bodies.radius')
+        if isinstance(radius, float) and np.isfinite(radius):
+            return radius
+    return Body().radius
 
 
 def flock(run: RecordedRun, k: int) -> Array:
@@ -51,7 +61,8 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
     time_s is when the flock arrived, by `arrival`, else the length of the run. It is judged by
     the sheep that are seen, of which `sheep` is the largest number, and so are distance and
     spread. replans is how many were made, whether or not they are in the bag; feedbacks how many
-    of those that are in it were made between two windows. notes says what the bag lacks.
+    of those that are in it were made between two windows. closest_dogs_m is the smallest distance
+    between two dogs, touches how often two came to touch. notes says what the bag lacks.
     """
     goal = run.goal
     at_first = initial_spread(run)
@@ -66,6 +77,7 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
         ]
         for kind in ('window', 'feedback')
     }
+    nearest = closest(run.d)
     seed = run.parameters.get(f'{run.namespace}/sim', {}).get('seed')
     return {
         'arrived': bool(home) if goal is not None else None,
@@ -86,6 +98,8 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
         'seed': seed if isinstance(seed, int) else None,
         'sheep': max(map(len, seen)),
         'dogs': run.d.shape[1],
+        'closest_dogs_m': nearest if np.isfinite(nearest) else None,
+        'touches': touches(run.d, radius_of_dogs(run)),
         'goal': goal.tolist() if goal is not None else None,
         **when.flat('arrival.'),
         'namespace': run.namespace or '/',

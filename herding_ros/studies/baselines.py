@@ -40,7 +40,8 @@ _DISTANCES = (0.1, 0.13, 0.16, 0.2, 0.25, 0.3)
 def tasks(options: Options) -> list[Task]:
     """Return runs of every policy on the same flocks under the same noise."""
     quick = options.quick
-    sigmas, herds = ((0.02,), (2,)) if quick else (_SIGMAS, _DOGS)
+    sigmas = options.sigma_values(_SIGMAS, (0.02,))
+    herds = (2,) if quick else _DOGS
     seeds = options.seed_range(20)
     found = []
     for policy, settings in _POLICIES.values():
@@ -64,9 +65,9 @@ def draw(results: Results, figures: Path) -> Section:
     herds = [dogs for dogs in _DOGS if len(results.of('herding', dogs=dogs))]
     runs = {
         (name, dogs, sigma): _runs(results, name, dogs, sigma)
-        for name, dogs, sigma in product(_POLICIES, _DOGS, _SIGMAS)
+        for name, dogs, sigma in product(_POLICIES, _DOGS, sigmas)
     }
-    _draw_success(runs, herds, figures)
+    _draw_success(runs, herds, sigmas, figures)
     values = {
         'seeds': results.seeds,
         'tables': '\n\n'.join(_table(runs, dogs, sigmas) for dogs in herds),
@@ -98,11 +99,11 @@ def _table(runs: _Runs, dogs: int, sigmas: list[float]) -> str:
     return f'### {dogs} dogs\n\n{found}'
 
 
-def _draw_success(runs: _Runs, herds: list[int], figures: Path) -> None:
+def _draw_success(runs: _Runs, herds: list[int], sigmas: list[float], figures: Path) -> None:
     figure, axes = new(2, max(len(herds), 1), width=4.5, height=2.8)
     for (left, right), dogs in zip(axes, herds, strict=False):
         for k, (colour, name) in enumerate(zip(COLOURS, _POLICIES, strict=False)):
-            there = [sigma for sigma in _SIGMAS if len(runs[name, dogs, sigma])]
+            there = [sigma for sigma in sigmas if len(runs[name, dogs, sigma])]
             offset = 0.0004 * (k - 2)
             fractions = [success(runs[name, dogs, sigma]) for sigma in there]
             values = [each.value for each in fractions]

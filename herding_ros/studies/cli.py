@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import math
 import os
 from pathlib import Path
 import signal
 import sys
 import time
 
+from herding_ros.model.parameters import LARGE
 from herding_ros.programs import INTERRUPTED
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -33,6 +35,18 @@ def _positive(text: str) -> int:
         value = 0
     if value < 1:
         raise argparse.ArgumentTypeError(f'must be an integer of at least 1, got {text}')
+    return value
+
+
+def _noise(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value <= LARGE:
+        raise argparse.ArgumentTypeError(
+            f'must be a number above 0, at most {LARGE:g}, got {text}'
+        )
     return value
 
 
@@ -65,6 +79,10 @@ def _parser() -> argparse.ArgumentParser:
     add('--seeds', type=_positive, metavar='N', help='use the seeds 0 to N - 1')
     add('--paths', type=_positive, metavar='N', help='Monte Carlo paths of a plan (100)')
     add(
+        '--sigma', type=_noise, nargs='+', metavar='S',
+        help='strengths of the noise, of studies that vary it (0.01 0.02 0.03 0.04)',
+    )  # fmt: skip
+    add(
         '--jobs', type=_positive, metavar='N', default=len(os.sched_getaffinity(0)),
         help='number of worker processes (one per core)',
     )  # fmt: skip
@@ -87,7 +105,8 @@ def main(args: list[str] | None = None) -> int:
     """Run the program; see --help for the exit codes."""
     parser = _parser()
     given = parser.parse_args(args)
-    options = Options(given.seeds, given.paths, given.quick)
+    sigmas = given.sigma and tuple(dict.fromkeys(given.sigma))
+    options = Options(given.seeds, given.paths, given.quick, sigmas)
     console = Console(highlight=False, soft_wrap=True)
     if given.list:
         _list(options, console)
@@ -97,6 +116,8 @@ def main(args: list[str] | None = None) -> int:
     names = list(STUDIES) if given.name == 'all' else [given.name]
     store = Store(given.results or given.out / 'results')
     tasks_of = {name: STUDIES[name].tasks(options) for name in names}
+    for idle in options.idle:
+        parser.error(f'--{idle} must not be given: {given.name} has none to choose')
     # Both act as Ctrl-C, which a shell ignores in processes that it starts in the background.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)

@@ -50,7 +50,9 @@ def tasks(options: Options) -> list[Task]:
     }
     return [
         Task('sampling', {**common, **case}, 0.2 if quick else 1e4 * case['sigma'] ** 2)
-        for case in grid(sigma=(_SHOWN,) if quick else _SIGMAS, seed=options.seed_range(5))
+        for case in grid(
+            sigma=options.sigma_values(_SIGMAS, (_SHOWN,)), seed=options.seed_range(5)
+        )
     ]
 
 

@@ -38,7 +38,7 @@ _RATIO_GOALS = {0.02: 0.12, 0.03: 0.13, 0.04: 0.27}
 
 _MAPPINGS = {
     'output': replace(PAPER.mapping, method='output', max_iterations=_ITERATIONS, tolerance=0.0),
-    'aggressive': replace(PAPER.mapping, max_iterations=_ITERATIONS, tolerance=0.0),
+    'aggressive': replace(PAPER.mapping, max_iterations=_ITERATIONS, residual=0.0),
     'paper': PAPER.mapping,
     'multilevel': Mapping('output', max_iterations=_ITERATIONS, tolerance=0.0),
 }
@@ -69,7 +69,7 @@ def tasks(options: Options) -> list[Task]:
     """Return windows mapped by the controller, by variants of Algorithm 1, and directly."""
     seeds, quick = options.seed_range(10), options.quick
     paths = options.path_number(100)
-    sigmas = SIGMAS[1:3] if quick else SIGMAS
+    sigmas = options.sigma_values(SIGMAS, SIGMAS[1:3])
     common = {
         'sheep': 6 if quick else 30,
         'dogs': 2 if quick else 5,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,19 +18,37 @@ from .task import Task
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command line: the numbers of seeds and Monte Carlo paths, a smoke test."""
+    """Options of the command line: main numbers of studies (None: the usual ones), a smoke test.
+
+    seeds, paths: how many; sigma: strengths of the noise [m/s^1.5].
+    """
 
     seeds: int | None = None
     paths: int | None = None
     quick: bool = False
+    sigma: tuple[float, ...] | None = None
+    _taken: set[str] = field(default_factory=set, init=False, repr=False, compare=False)
 
     def seed_range(self, usual: int) -> range:
         """Return the seeds of a study that has `usual` of them by default."""
+        self._taken.add('seeds')
         return range(self.seeds or (1 if self.quick else usual))
 
     def path_number(self, usual: int) -> int:
         """Return the number of Monte Carlo paths of a study that has `usual` by default."""
+        self._taken.add('paths')
         return self.paths or (8 if self.quick else usual)
+
+    def sigma_values(self, usual: Sequence[float], quick: Sequence[float]) -> Sequence[float]:
+        """Return the strengths of the noise of a study that varies it [m/s^1.5]."""
+        self._taken.add('sigma')
+        return self.sigma or (quick if self.quick else usual)
+
+    @property
+    def idle(self) -> list[str]:
+        """Names of the numbers that were given and that no study has asked for."""
+        given = ('seeds', 'paths', 'sigma')
+        return [name for name in given if getattr(self, name) and name not in self._taken]
 
 
 def grid(**values: Sequence[Any]) -> Iterator[dict[str, Any]]:

@@ -10,7 +10,7 @@ from typing import Any
 from herding_ros.control.closed_loop import closed_loop, play
 from herding_ros.control.estimator import StateEstimator
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
+from herding_ros.control.parameters import Bodies, Control, Horizon, Mapping, Sensor
 from herding_ros.control.pilot import Observed
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.alignment import Alignment
@@ -572,7 +572,7 @@ def run_until(t: float) -> StateEstimator:
 
 @pytest.mark.parametrize(
     ('later', 'anew'),
-    [(0.1, False), (4.95, False), (5.1, True), (1e9, True), (0.0, False), (-0.1, True),
+    [(0.1, False), (9.95, False), (10.1, True), (1e9, True), (0.0, False), (-0.1, True),
      (-3.0, True), (math.nan, True)],
 )  # fmt: skip
 def test_time_that_goes_back_or_leaps_is_a_new_start(later: float, anew: bool) -> None:
@@ -630,7 +630,8 @@ def test_a_controller_with_an_exact_sensor_plans_from_what_it_sees() -> None:
     """The loop is the one without any filter, written out here."""
     crowd, world = Crowd(noise=0.02), World(sheep=9, dogs=2, seed=1)
     horizon = Horizon(length=8.0, accepted=4.0, feedback=4.0)
-    control = Control(horizon=horizon, mapping=Mapping(paths=20))
+    as_planned = Bodies(separation=0.0, ramp=0.0)
+    control = Control(horizon=horizon, mapping=Mapping(paths=20), bodies=as_planned)
     run = closed_loop(crowd, world, control, GOAL, 10.0)
     planner = RecedingHorizon(crowd, control, GOAL, world.seed)
 

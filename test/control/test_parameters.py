@@ -78,8 +78,8 @@ def test_paper_is_the_papers_own_setting() -> None:
     assert PAPER.max_speed == 5e-2
     assert PAPER.reference.kind == 'interpolated'
     assert (PAPER.horizon.length, PAPER.horizon.accepted) == (20.0, 10.0)
-    assert PAPER.optimiser.tolerance == 5e-3
-    assert (PAPER.mapping.method, PAPER.mapping.tolerance) == ('aggressive', 0.3)
+    assert PAPER.optimiser.step_tolerance == 5e-3
+    assert (PAPER.mapping.method, PAPER.mapping.residual) == ('aggressive', 0.3)
     assert PAPER.mapping.paths == 100
     assert MIN_DECREASE == 5e-3
 

@@ -9,7 +9,7 @@ import math
 
 from herding_ros.control.closed_loop import as_policy
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Control, Horizon, OutOfStepError, Sensor, Timing
+from herding_ros.control.parameters import Bodies, Control, Horizon, OutOfStepError, Sensor, Timing
 from herding_ros.control.pilot import Decision, Observed
 from herding_ros.control.plan import Plan
 from herding_ros.control.real_time_pilot import RealTimePilot
@@ -20,6 +20,7 @@ from herding_ros.control.solve_report import SolveReport
 from herding_ros.control.window import Window
 from herding_ros.model import flock
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array, HerdState
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -29,8 +30,9 @@ import pytest
 PERIOD, LENGTH, ACCEPTED, LEAD = 0.1, 4.0, 2.0, 1.0
 FEEDBACK = 0.5
 HORIZON = Horizon(LENGTH, ACCEPTED, feedback=ACCEPTED, control_period=PERIOD)
-CONTROL = Control(horizon=HORIZON)
-IMPROVING = Control(horizon=replace(HORIZON, feedback=FEEDBACK))
+AS_PLANNED = Bodies(separation=0.0, ramp=0.0)
+CONTROL = Control(horizon=HORIZON, bodies=AS_PLANNED)
+IMPROVING = replace(CONTROL, horizon=replace(HORIZON, feedback=FEEDBACK))
 GOAL = (1.0, 0.0)
 NEW_GOAL = (0.0, 1.0)
 REPORT = SolveReport(
@@ -210,6 +212,45 @@ def test_lockstep_plans_when_due_and_replies_each_time() -> None:
     assert not any(decision.events for decision in decisions)
 
 
+@pytest.mark.parametrize('keeps_time', [False, True])
+def test_commands_keep_dogs_apart_and_that_is_counted_and_said_once(keeps_time: bool) -> None:
+    bodies = Bodies(
+        separation=0.12, margin=0.0, ramp=0.0
+    )  # dogs are 0.1 m from each other, side by side
+    control = replace(CONTROL, bodies=bodies)
+    if keeps_time:
+        field = Field(control=control).herding()
+        decisions = field.run(3.0)
+        events = [event for _, decision in field.decisions for event in decision.events]
+        pilot: LockstepPilot | RealTimePilot = field.pilot
+    else:
+        pilot, _ = lockstep(control)
+        decisions = [pilot.decide(seen(0.1 * k)) for k in range(30)]
+        events = [event for decision in decisions for event in decision.events]
+    u = command(decisions[-1])
+    assert u[:, 0] == pytest.approx(1e-3)  # on they run
+    assert u[0, 1] < -1e-3 < 1e-3 < u[2, 1]  # and part
+    assert pilot.commands_changed >= len(decisions)
+    assert [event.level for event in events] == ['warning', 'info']
+    assert 'nearer to each other than bodies.separation, 0.12 m' in events[0].text
+
+
+def test_dogs_whose_commands_are_no_velocities_are_not_kept_apart_and_that_is_said() -> None:
+    class Sledge(Holonomic.__base__):  # type: ignore[misc, name-defined]
+        """Moves as a holonomic dog does, and need not."""
+
+        project, rollout, transpose = Holonomic.project, Holonomic.rollout, Holonomic.transpose
+        state, odometry = Holonomic.state, Holonomic.odometry
+
+    control = replace(CONTROL, bodies=Bodies(separation=0.12, ramp=0.0), motion=Sledge())
+    pilot, _ = lockstep(control)
+    decisions = [pilot.decide(seen(0.1 * k)) for k in range(30)]
+    assert goal_of(command(decisions[-1])) == [GOAL] * 3
+    (event,) = [event for decision in decisions for event in decision.events]
+    assert 'not kept apart' in event.text
+    assert 'Sledge' in event.text
+
+
 def test_a_plan_without_influence_is_said_once() -> None:
     pilot, planner = lockstep()
     planner.report = replace(REPORT, status=Status.NO_INFLUENCE)
@@ -220,7 +261,7 @@ def test_a_plan_without_influence_is_said_once() -> None:
 
 
 def test_lockstep_reply_is_that_of_the_real_planner() -> None:
-    control = Control(horizon=Horizon(length=1.0, accepted=0.5, feedback=0.2))
+    control = Control(bodies=AS_PLANNED, horizon=Horizon(length=1.0, accepted=0.5, feedback=0.2))
     herd = seen(0.0, sheep=4).state
     pilot = LockstepPilot(RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7), 3)
     by_hand = RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7)
@@ -705,15 +746,19 @@ def test_sheep_out_of_sight_are_planned_for_until_they_are_lost_and_that_is_said
     said: list[tuple[float, str]] = []
     for k in range(81):
         decision = pilot.decide(seen(PERIOD * k, sheep=5 if k < 10 else 3))
-        said += [(k, event.text) for event in decision.events]
-        assert pilot.filter_values()['sheep_out_of_sight'] == (2 if 10 <= k < 19 else 0)
+        said += [(k, event.text) for event in decision.events if 'out of sight' in event.text]
+        assert pilot.estimate_values()['sheep_out_of_sight'] == (2 if 10 <= k < 19 else 0)
     assert [(k, words[:46]) for k, words in said] == [
         (10, 'sheep out of sight are carried along by the mo'),
         (19, 'sheep out of sight for 1 s are lost, the plans'),
     ]
     assert said[1][1].endswith(': 3, 4')
     assert [len(state.x) for _, state in planner.solved] == [5, 3, 3, 3, 3]
-    assert not lockstep()[0].filter_values()
+    later = pilot.decide(seen(PERIOD * 81 + 1.0, sheep=3))
+    assert [event.text for event in later.events] == [
+        'no observation for longer than sensor.timeout, 1 s: the filter starts afresh'
+    ]
+    assert not lockstep()[0].estimate_values()
 
 
 def test_sheep_may_come_and_go() -> None:

@@ -6,6 +6,7 @@ from functools import partial
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.tracking import Tracking
+from herding_ros.control.drift import Drift
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import (
     Coarse,
@@ -24,10 +25,11 @@ from herding_ros.control.space_mapping import aggressive_mapping, MappingProblem
 from herding_ros.control.spg import spg
 from herding_ros.control.task import Task
 from herding_ros.control.window import Window
+from herding_ros.model.bodies import closest
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.expectation import mean_centre
-from herding_ros.model.flock import spread
+from herding_ros.model.flock import centre, spread
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
@@ -136,7 +138,9 @@ def test_error_of_the_coarse_plan_is_that_of_the_paper(seeds: Sequence[int]) -> 
 @pytest.mark.parametrize('method', ['output', 'aggressive'])
 def test_report_and_prediction_are_those_of_the_plan(method: str) -> None:
     sigma, state = 0.03, herd(9, 2)
-    mapping = dataclasses.replace(PLAIN, method=method, max_iterations=2, tolerance=1e-6)
+    mapping = dataclasses.replace(
+        PLAIN, method=method, max_iterations=2, tolerance=1e-6, residual=1e-6
+    )
     control = dataclasses.replace(SMALL, mapping=mapping)
     window = solved(sigma, control, state, seed=5)
     coarse = solved(sigma, without_mapping(control), state, seed=5)
@@ -194,7 +198,7 @@ def test_aggressive_mapping_is_the_papers_algorithm(seed: int) -> None:
     Ours compares centres at instants half a second apart, which is good to some per cent.
     """
     crowd, gamma, state = Crowd(noise=0.03), 1e-2, herd(9, 2, seed)
-    mapping = dataclasses.replace(PLAIN, method='aggressive', max_iterations=2, tolerance=0.0)
+    mapping = dataclasses.replace(PLAIN, method='aggressive', max_iterations=2, residual=0.0)
     control = dataclasses.replace(PAPER, horizon=SMALL.horizon, mapping=mapping)
     found = RecedingHorizon(crowd, control, GOAL, seed).solve(state, 0.0)
     u_coarse = solved(0.03, without_mapping(control), state).plan.u
@@ -236,7 +240,7 @@ def test_mapping_from_the_mean_field_limit_lowers_the_error_as_from_all_sheep(me
     """It corrects for the noise, and for sheep that are not so many."""
     state, sigma, n = herd(90, 3), 0.03, 90
     mapping = Mapping(
-        method=method, paths=20, max_iterations=4, tolerance=1e-4,
+        method=method, paths=20, max_iterations=4, tolerance=1e-4, residual=1e-4,
         estimator='plain', standard_error=0.0,
     )  # fmt: skip
     quadratic = Weights(distance=0.0, centre=3.0, beyond=0.0, terminal=0.0)
@@ -305,11 +309,13 @@ def test_improvement_is_the_solve_on_the_controls_own_time_grid() -> None:
 def test_improvement_takes_few_iterations_and_leaves_the_cost_lower() -> None:
     """From another state than was planned for; judged by the model on its own time grid."""
     planner = RecedingHorizon(Crowd(), without_mapping(SMALL), GOAL)
-    before = planner.solve(herd(9, 3), 0.0).plan
-    state = herd(9, 3, seed=1)
+    window = planner.solve(herd(9, 3), 0.0)
+    before, state = window.plan, herd(9, 3, seed=1)
     found = planner.improve(state, 2.0)
-    model = CoarseModel(Crowd(), state, 0.1)
-    costs = Task.of(SMALL, model, GOAL).costs(0.1 * np.arange(101))
+    model, times, drift = CoarseModel(Crowd(), state, 0.1), 0.1 * np.arange(101), Drift()
+    error = centre(state.x) - window.centre[window.index(2.0)]
+    drift.learn(Crowd(), error, 2.0, SMALL.horizon.accepted, SMALL.max_speed)
+    costs = Task.of(SMALL, model, GOAL).costs(times, drift.path(Crowd(), times))
     cost = Objective([*costs, ControlEffort(SMALL.weights.control)])
     old, new = (
         model.value_and_gradient(cost, u)[0] for u in (before.shifted(2.0).u, found.plan.u)
@@ -482,3 +488,16 @@ def test_common_noise_spoils_the_mean_of_few_paths_more() -> None:
 
     individual, common = (np.mean([off(share, seed) for seed in range(8)]) for share in (0.0, 1.0))
     assert common > 2.0 * individual
+
+
+def test_plans_keep_dogs_apart() -> None:
+    herd = initial_herd(20, 4, GOAL, np.random.default_rng(0))
+    near = {}
+    for weight in (0.0, Weights().spacing):
+        values = {'weights.spacing': weight, 'mapping.max_iterations': 0}
+        planner = RecedingHorizon(Crowd(), Control().with_values(values), GOAL)
+        near[weight] = closest(planner.solve(herd, 0.0).dogs)
+    without, spaced = near.values()
+    bodies = Control().bodies
+    assert without < bodies.separation
+    assert spaced > bodies.separation + bodies.margin

@@ -85,11 +85,11 @@ def test_symmetric_flock_stays_symmetric(random_herd: HerdMaker) -> None:
 def test_blobs_are_as_wide_as_their_distance_asks_for() -> None:
     """64 blobs in the square of 0.8 m stand 0.1 m apart; widths come in steps of a fifth."""
     x = initial_herd(10_000, 1, GOAL, np.random.default_rng(0)).x
-    width = blob_width(x, 64)
+    width = blob_width(x, 64, 2.0)
     assert 0.07 / 1.12 < width < 0.07 * 1.12
-    assert blob_width(2.0 * x + 3.0, 64) == 2.0 * width
-    assert blob_width(x, 16) == 2.0 * width
-    assert blob_width(x[:1], 64) == pytest.approx(1e-3, rel=0.1)  # no area
+    assert blob_width(2.0 * x + 3.0, 64, 2.0) == 2.0 * width
+    assert blob_width(x, 16, 2.0) == 2.0 * width
+    assert blob_width(x[:1], 64, 2.0) == pytest.approx(1e-3, rel=0.1)  # no area
 
 
 def test_repulsion_acts_as_the_pressure_of_the_limit() -> None:

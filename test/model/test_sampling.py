@@ -165,9 +165,9 @@ def test_sheep_alone_take_long_steps_that_friction_allows(random_herd: HerdMaker
     state = random_herd(3, 1)
     for friction, longer in ((0.5, 8), (0.0, 8), (1.0, 4), (3.0, 1), (100.0, 1)):
         crowd = Crowd(friction=friction)
-        assert alone(FineModel(crowd, state, 0.05, 400)) == Resolution(1, longer)
-    assert alone(FineModel(CROWD, state, 0.05, 70)) == Resolution(1, 7)
-    assert alone(FineModel(CROWD, state, 0.05, 37)) == Resolution(1, 1)
+        assert alone(FineModel(crowd, state, 0.05, 400, 2)) == Resolution(1, longer)
+    assert alone(FineModel(CROWD, state, 0.05, 70, 2)) == Resolution(1, 7)
+    assert alone(FineModel(CROWD, state, 0.05, 37, 2)) == Resolution(1, 1)
     assert alone(FineModel(CROWD, state, 0.05, 1)) == Resolution(1, 1)
 
 

@@ -132,3 +132,21 @@ def test_dogs_that_attract_start_ahead_of_the_flock(preset: str, ahead: bool) ->
     expected = initial_herd(9, 2, GOAL, np.random.default_rng(3), ahead)
     np.testing.assert_array_equal(found.d, expected.d)
     assert (found.d @ GOAL > 0.0).all() == ahead
+
+
+def test_it_counts_how_often_dogs_touch_and_how_near_they_came() -> None:
+    simulation = Simulation(Crowd(), WORLD, GOAL)
+    start = float(np.linalg.norm(simulation.state.d[0] - simulation.state.d[1]))
+    assert (simulation.touches, simulation.closest_dogs) == (0, start)
+    there = simulation.state.d[1] - simulation.state.d[0]
+    u = np.zeros((400, 2, 2))
+    u[:, 0] = 0.05 * there / start
+    k = int((start - 0.08) / 0.005)
+    u[k + 5 : k + 15] *= -1.0
+    distances = []
+    for each in u:
+        simulation.advance(each)
+        distances.append(float(np.linalg.norm(simulation.state.d[0] - simulation.state.d[1])))
+    touching = np.array(distances) < 0.08
+    assert simulation.touches == (touching[1:] & ~touching[:-1]).sum() == 2
+    assert simulation.closest_dogs == min(distances)

@@ -20,6 +20,7 @@ from herding_ros.model.simulation import World
 from herding_ros.nodes import herd
 from herding_ros.nodes.signals import ENDING, note_signals
 from herding_ros.nodes.sim import SimSettings
+from herding_ros.nodes.start import read_start
 import numpy as np
 import psutil
 import pytest
@@ -89,6 +90,9 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
     assert np.array_equal(x, expected.x.astype(np.float32))
     places = [message.pose.pose.position for message in messages['/truth/dog_2/odom']]
     assert np.array_equal([[p.x, p.y] for p in places], expected.d[:, 1])
+    again = read_start(out / 'bag', 2.02)
+    assert np.array_equal(again.x, expected.x[20].astype(np.float32))
+    assert np.array_equal(again.d, expected.d[20])
     # The sim stands still at the goal, so the answer to the last state is not played.
     orders = [message.twist.linear for message in messages['/dog_3/cmd_vel']]
     assert np.array_equal([[o.x, o.y] for o in orders[: len(expected.u)]], expected.u[:, 2])

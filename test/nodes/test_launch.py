@@ -155,6 +155,19 @@ def test_periods_that_do_not_fit_are_refused_before_anything_starts(tmp_path: Pa
         plan(config=str(file), lockstep='true')
 
 
+def test_periods_fit_where_they_follow_from_crowd_and_dogs(tmp_path: Path) -> None:
+    """On the field of 20 m a command lasts half as long, in both nodes."""
+    field = (ROOT / 'config' / 'pasture.yaml').read_text(encoding='utf-8')
+    file = tmp_path / 'field.yaml'
+    for more, fits in (('', True), ('dt: 0.01', False), ('horizon: {control_period: 0.05}', True)):
+        file.write_text(f'{field}    {more}\n')
+        if fits:
+            plan(config=str(file), lockstep='true')
+        else:
+            with pytest.raises(ValueError, match=r'control_period .* 0\.1 s, got 0\.05 s'):
+                plan(config=str(file), lockstep='true')
+
+
 def test_rviz_shows_the_topics_of_its_namespace() -> None:
     names = dict(names_in_namespace(ROOT / 'rviz' / 'herding.rviz'))
     assert set(names) >= {

@@ -210,7 +210,9 @@ def test_what_is_sent_has_zeros_between_its_fields() -> None:
         frame = 'map_of_a'[:length]
         sent = [
             messages.path(np.ones((length, 2)), 0.5, 7, frame),
-            messages.marker_array(np.ones((length, 2)), np.ones((2, 2)), np.ones(2), 7, frame),
+            messages.marker_array(
+                np.ones((length, 2)), np.ones((2, 2)), np.ones(2), 0.05, 7, frame
+            ),
             messages.diagnostics(frame, 7, b'\2', frame, {frame: 1.5, 'a': 'ü'}),
             messages.twist(np.ones(2), 0.3),
             Clock(clock=messages.stamp_of(7)),
@@ -796,10 +798,12 @@ def test_path_is_stamped_along_the_way() -> None:
 
 def test_markers_show_sheep_dogs_and_goal() -> None:
     x, d = np.array([[1.0, 2.0]]), np.array([[3.0, 4.0], [5.0, 6.0]])
-    shown = {m.ns: m for m in messages.marker_array(x, d, np.array([7.0, 8.0]), 0, 'map').markers}
+    drawn = messages.marker_array(x, d, np.array([7.0, 8.0]), 0.5, 0, 'map')
+    shown = {m.ns: m for m in drawn.markers}
     assert [(p.x, p.y) for p in shown['sheep'].points] == [(1.0, 2.0)]
     assert len(shown['dogs'].points) == 6
     triangle = np.array([(p.x, p.y) for p in shown['dogs'].points[3:]])
     assert np.allclose(triangle.mean(axis=0), (5.0, 6.0), atol=0.01)
     cross = np.array([(p.x, p.y) for p in shown['goal'].points])
     assert np.allclose(cross.mean(axis=0), (7.0, 8.0))
+    assert np.allclose(np.abs(cross - (7.0, 8.0)), 0.5)

@@ -11,7 +11,7 @@ import re
 from typing import Any
 
 from geometry_msgs.msg import TwistStamped
-from herding_ros.control.parameters import Control, Weights
+from herding_ros.control.parameters import Bodies, Control, Weights
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import describe_limits, Parameters
@@ -66,6 +66,11 @@ LIVE = {
     'sim': {'real_time_factor', *NOISE},
     'controller': {
         *(f'weights.{field.name}' for field in dataclasses.fields(Weights)),
+        *(
+            f'bodies.{field.name}'
+            for field in dataclasses.fields(Bodies)
+            if field.name != 'radius'
+        ),
         *NOISE,
         *('horizon.length', 'horizon.accepted', 'horizon.feedback', 'max_speed'),
     },

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from herding_ros.bag.recorded_run import RecordedRun, Replan, Topic
+from herding_ros.model.bodies import closest
 from herding_ros.report import figures
 from herding_ros.report.cli import main, write_report
 from herding_ros.report.figures import save_trajectories
@@ -95,6 +96,8 @@ def test_summary_of_an_arrival(run: RecordedRun) -> None:
     assert summary['real_time_factor'] == 8.0
     assert summary['seed'] == 7
     assert (summary['sheep'], summary['dogs']) == (4, 2)
+    assert summary['closest_dogs_m'] == closest(run.d)
+    assert summary['touches'] == 0
     assert summary['goal'] == [1.0, 0.0]
     assert summary['version'] == '1.2.3'
 
@@ -144,7 +147,7 @@ def test_bad_arrival_parameters_of_a_bag_are_noted(run: RecordedRun) -> None:
     (note,) = summary['notes']
     assert note == (
         'the arrival is judged by the default parameters: Arrival.radius must be a number from '
-        "1e-09 to 1e+06, got 'wide'"
+        "1e-09 to 1e+09, got 'wide'"
     )
     long = summarise(with_arrival(run, radius='w' * 10_000))
     assert len(long['notes'][0]) <= 500
@@ -237,6 +240,16 @@ def bag_of(run: RecordedRun, path: Path, run_recorder: Any, **custom_data: str) 
     return path
 
 
+@pytest.mark.parametrize('node', ['sim', 'controller'])
+def test_summary_of_dogs_that_touch_by_the_radius_in_the_bag(run: RecordedRun, node: str) -> None:
+    near = closest(run.d)
+    for radius, expected in ((0.49 * near, 0), (0.51 * near, 2)):
+        parameters = {f'/{node}': {'bodies.radius': radius}}
+        assert summarise(replace(run, parameters=parameters))['touches'] == expected
+    alone = summarise(replace(run, d=run.d[:, :1], dogs=(1,)))
+    assert (alone['closest_dogs_m'], alone['touches']) == (None, 0)
+
+
 def test_report_of_a_bag(run: RecordedRun, tmp_path: Path, run_recorder: Any) -> None:
     bag = bag_of(run, tmp_path / 'bag', run_recorder)
     console = Console(record=True, width=120, file=StringIO())
@@ -256,6 +269,7 @@ def test_report_of_a_bag(run: RecordedRun, tmp_path: Path, run_recorder: Any) ->
     assert 'sensor_msgs/msg/PointCloud2' in text
     assert 'arrived after 1.5 s' in text
     assert '3 replans' in text
+    assert 'm from each other, 0 touches' in text
     assert 'left behind' not in text
 
 

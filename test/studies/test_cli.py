@@ -142,6 +142,9 @@ def test_a_task_that_fails_does_not_stop_the_others(
         (['dogs', '--jobs', 'many'], ['--jobs', 'integer of at least 1']),
         (['dogs', '--seeds', '-1'], ['--seeds', 'integer of at least 1']),
         (['dogs', '--paths', '1.5'], ['--paths', 'integer of at least 1']),
+        (['stochasticity', '--sigma', '0.01', '0'], ['--sigma', 'a number above 0', 'got 0']),
+        (['symmetry', '--sigma', '0.01'], ['--sigma must not be given: symmetry has none']),
+        (['symmetry', '--paths', '7'], ['--paths must not be given: symmetry has none']),
     ],
 )
 def test_bad_arguments_are_refused_with_what_they_must_be(
@@ -212,6 +215,17 @@ def test_studies_draw_whatever_is_there(
     monkeypatch.setattr(Figure, 'savefig', lambda *_, **__: None)
     section = STUDIES[name].draw(Results([]), tmp_path)
     assert all(goal.reached is None for goal in section.goals)
+
+
+@pytest.mark.parametrize('name', ['stochasticity', 'baselines', 'sampling'])
+def test_noise_is_chosen_on_the_command_line(name: str) -> None:
+    """Besides what is shown for one noise alone."""
+
+    def sigmas(options: Options) -> set[float | None]:
+        return {task.parameters.get('sigma') for task in STUDIES[name].tasks(options)}
+
+    assert {0.01, 0.02, 0.03, 0.04} <= sigmas(Options())
+    assert sigmas(Options(sigma=(0.05, 0.07))) - {0.01, 0.03, None} == {0.05, 0.07}
 
 
 @pytest.mark.parametrize('name', STUDIES)

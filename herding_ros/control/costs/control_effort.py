@@ -10,6 +10,9 @@ import numpy as np
 
 from .cost import Derivatives
 
+_SHORT = 0.01
+"""Part of the step to the minimum of control effort alone that is short."""
+
 
 @dataclass(frozen=True)
 class ControlEffort:
@@ -21,6 +24,14 @@ class ControlEffort:
 
     weight: float
     reference: Array | float = 0.0
+
+    @property
+    def step(self) -> float:
+        """Factor [1/s^2] that makes a short step of minus the gradient of a cost with this part.
+
+        The curvature of such a cost is about gamma at least.
+        """
+        return _SHORT / self.weight
 
     def value_and_derivatives(self, trajectory: Trajectory, u: Array) -> tuple[float, Derivatives]:
         """Return C and its gradient gamma (u - u_ref)."""

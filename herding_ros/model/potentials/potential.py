@@ -15,8 +15,8 @@ import numpy as np
 if TYPE_CHECKING:
     from .forms import PotentialForm, Table
 
-_FARTHEST = 1e3
-"""A table covers distances up to this [m]; P'/r is constant beyond."""
+_NEAREST, _FARTHEST = 5e-7, 1e6
+"""A table covers distances between these multiples of the extent; P'/r is constant outside."""
 
 
 class Potential(Parameters):
@@ -25,7 +25,8 @@ class Potential(Parameters):
     Positive slopes attract, negative ones repel. A new one is a frozen dataclass
     with these three methods, each for arrays of any shape, r > 0. The paper asks for bounded
     and locally Lipschitz first and second derivatives. A potential that ends at some distance
-    has a `reach`, where its second derivative may jump.
+    has a `reach`, where its second derivative may jump. Its numbers are quantities with units, so
+    that it can be `rescaled`, and its lengths tell its `extent`.
     """
 
     @abstractmethod
@@ -46,9 +47,15 @@ class Potential(Parameters):
         return math.inf
 
     @property
+    def extent(self) -> float:
+        """The longest of its lengths [m], in which tables are made; 1 m if it states none."""
+        lengths = [each.value for each in self.walk() if each.field.metadata['unit'] == 'm']
+        return max(lengths, default=1.0)
+
+    @property
     def nearest(self) -> float:
         """Distance [m] within which a table takes P'/r for constant, if its reach is longer."""
-        return 1e-6
+        return _NEAREST * self.extent
 
     def kernel_form(self) -> PotentialForm:
         """Return the form for the kernels: a table, unless a potential overrides it.
@@ -68,15 +75,16 @@ def _table(potential: Potential) -> Table:
 
     Nodes stand closer where r is small, at a fixed relative distance: 128 from one power of
     two to the next. The error falls with its fourth power: 1e-9 relative for P' like r**-1.
-    The unit is 1 m or the finite reach. Then a node, z = 1, stands there, the piece before it has
-    the derivatives on its own side, and the last one, beyond, is zero.
+    The unit is the finite reach, else the extent. At a reach stands a node, z = 1, the piece
+    before it has the derivatives on its own side, and the last one, beyond, is zero.
     """
     from . import forms  # a program's help needs no Numba
 
     ends = math.isfinite(potential.reach)
-    unit, near, far = 1.0, potential.nearest, _FARTHEST
+    unit = potential.reach if ends else potential.extent
+    near, far = potential.nearest / unit, _FARTHEST
     if ends:
-        unit, near, far = potential.reach, min(potential.nearest / potential.reach, 1e-3), 1.0
+        near, far = min(near, 1e-3), 1.0
     nodes = forms.table_nodes(near**2, far**2)
     r = np.minimum(unit * np.sqrt(nodes), np.nextafter(potential.reach, 0.0))
     a = potential.derivative(r) / r

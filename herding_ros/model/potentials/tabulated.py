@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from herding_ros.model.state import Array, finite
+from herding_ros.model.units import factor
 import numpy as np
 
 from .potential import Potential
@@ -36,6 +37,19 @@ class Tabulated(Potential):
             )
         object.__setattr__(self, 'distances', tuple(r.tolist()))
         object.__setattr__(self, 'values', tuple(values.tolist()))
+
+    def rescaled(self, length: float, time: float) -> Tabulated:
+        """Return the potential in a world whose lengths and times are so many times ours."""
+        strength = factor('m^2/s^2', length, time)
+        return Tabulated(
+            tuple(length * each for each in self.distances),
+            tuple(strength * each for each in self.values),
+        )
+
+    @property
+    def extent(self) -> float:
+        """The last distance [m]."""
+        return self.distances[-1]
 
     @property
     def reach(self) -> float:

@@ -30,16 +30,16 @@ def pose(position: Array, ns: int, frame: str) -> PoseStamped:
     )
 
 
-def marker_array(x: Array, d: Array, goal: Array, ns: int, frame: str) -> MarkerArray:
-    """Sheep as blue dots, dogs as red triangles, a cross at the destination."""
+def marker_array(x: Array, d: Array, goal: Array, size: float, ns: int, frame: str) -> MarkerArray:
+    """Sheep as blue dots, dogs as red triangles, a cross of this size [m] at the destination."""
     blue, red = ColorRGBA(r=0.1, g=0.3, b=0.9, a=1.0), ColorRGBA(r=0.9, g=0.1, b=0.1, a=1.0)
     black = ColorRGBA(a=1.0)
-    corners = 0.04 * np.array([[0.0, 1.0], [-0.87, -0.5], [0.87, -0.5]])
-    cross = 0.05 * np.array([[-1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [1.0, -1.0]])
+    corners = 0.8 * size * np.array([[0.0, 1.0], [-0.87, -0.5], [0.87, -0.5]])
+    cross = size * np.array([[-1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [1.0, -1.0]])
     shapes = (
-        ('sheep', Marker.SPHERE_LIST, blue, 0.03, x),
+        ('sheep', Marker.SPHERE_LIST, blue, 0.6 * size, x),
         ('dogs', Marker.TRIANGLE_LIST, red, 1.0, (d[:, None] + corners).reshape(-1, 2)),
-        ('goal', Marker.LINE_LIST, black, 0.01, goal + cross),
+        ('goal', Marker.LINE_LIST, black, 0.2 * size, goal + cross),
     )
     return MarkerArray(
         markers=[
@@ -49,10 +49,10 @@ def marker_array(x: Array, d: Array, goal: Array, ns: int, frame: str) -> Marker
                 type=kind,
                 action=Marker.ADD,
                 pose=Pose(orientation=Quaternion(w=1.0)),
-                scale=Vector3(x=size, y=size, z=size),
+                scale=Vector3(x=width, y=width, z=width),
                 color=color,
                 points=[Point(x=x, y=y) for x, y in vertices.tolist()],
             )
-            for name, kind, color, size, vertices in shapes
+            for name, kind, color, width, vertices in shapes
         ]
     )

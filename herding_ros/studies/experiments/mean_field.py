@@ -14,7 +14,7 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import centre, spread
 from herding_ros.model.mean_field import mean_field
-from herding_ros.model.scenario import GOAL, initial_herd, PASTURE
+from herding_ros.model.scenario import GOAL, initial_herd, Start
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
@@ -65,7 +65,7 @@ def convergence(
 def _pasture(state: HerdState, count: int) -> HerdState:
     """Return a herd whose sheep stand on a grid, many to each marker, instead of at random."""
     side = 4 * round(np.sqrt(count))
-    ticks = PASTURE * ((2.0 * np.arange(side) + 1.0) / side - 1.0)
+    ticks = Start().half_width * ((2.0 * np.arange(side) + 1.0) / side - 1.0)
     x = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
     return HerdState(x, np.zeros_like(x), state.d)
 

@@ -22,6 +22,9 @@ from .strombom import Strombom
 from .strombom_sheep import Flock, MAX_SPEED, Sheep
 from .truths import NO_FORCE, OtherWorld, Truth
 
+_NO_BODIES = {'bodies.separation': 0.0, 'bodies.ramp': 0.0}
+"""Settings for the dogs of others, which are points and take any command at once."""
+
 
 class Field(Plant, Protocol):
     """A plant that has a goal with a region around it."""
@@ -49,8 +52,13 @@ class Stranger:
 
 
 def targets(seed: int, **given: Any) -> Stranger:
-    """Return the targets of Lama and di Bernardo in a `lama.Setting`, which our crowd can be."""
+    """Return the targets of Lama and di Bernardo in a `lama.Setting`, which our crowd can be.
+
+    No plan is made beyond the time in which noise takes a target out of a herder's hands: over
+    the length of a window it moves one by at most half a reach.
+    """
     setting = lama.Setting(**given)
+    length = min(round(setting.reach**2 / (8.0 * setting.diffusion), 1), 4.0)
     crowd = Crowd(
         sheep=NO_FORCE,
         dog=Harmonic(setting.repulsion, setting.reach),
@@ -61,10 +69,11 @@ def targets(seed: int, **given: Any) -> Stranger:
     settings = {
         'max_speed': setting.max_speed,
         'horizon.control_period': setting.control_period,
-        'horizon.length': 4.0,
-        'horizon.accepted': 2.0,
-        'horizon.feedback': 0.25,
+        'horizon.length': length,
+        'horizon.accepted': 0.5 * length,
+        'horizon.feedback': max(length / 16.0, 2.0 * setting.control_period),
         'mapping.standard_error': 0.05,
+        **_NO_BODIES,
     }
     rule = lama.Rule(setting.radius, setting.max_speed, behind=0.5 * setting.reach)
     return Stranger(lama.Targets(setting, seed), rule, crowd, settings)
@@ -74,14 +83,14 @@ def flock(seed: int) -> Stranger:
     """Return the sheep of Strömbom et al., and the crowd of ours that is nearest to them.
 
     They always move at 1 m/s, ours at force / friction. So pushes are made alike at the distances
-    at which they herd: of the dog at 10 m, which fades over its reach instead of ending there, of
-    the others at 1 m; the pull of the others is the same.
+    at which they herd: of the dog, which ends at its reach here as there, at 10 m, of the others
+    at 1 m; the pull of the others is the same.
     """
     plant, kind = Flock(seed), Sheep()
     n, far = len(plant.state.x), 5.0 * kind.reach
     crowd = Crowd(
         sheep=Morse(np.e * n * kind.repulsion, 1.0, kind.cohesion * far, far),
-        dog=Morse(kind.fear * kind.reach * np.exp(10.0 / kind.reach), kind.reach, 0.0),
+        dog=Harmonic(kind.fear / (kind.reach - 10.0), kind.reach),
         friction=1.0,
         order=1,
         noise=kind.noise / np.sqrt(2.0),
@@ -94,6 +103,7 @@ def flock(seed: int) -> Stranger:
         'horizon.feedback': 3.0,
         'horizon.substeps': 10,
         'mapping.standard_error': 0.05,
+        **_NO_BODIES,
     }
     chance = np.random.default_rng([seed, 30_000])
     rule = Strombom(plant.goal, chance, MAX_SPEED, kind.distance, noise=kind.noise)

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+import itertools
 import math
 
 from herding_ros.control.costs.check import taylor_orders
@@ -11,6 +12,7 @@ from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.cost import Cost, Derivatives
 from herding_ros.control.costs.distance import Distance
 from herding_ros.control.costs.leash import Leash
+from herding_ros.control.costs.spacing import Spacing
 from herding_ros.control.costs.terminal import Terminal
 from herding_ros.control.costs.tracking import Tracking
 from herding_ros.control.objective import Objective, weighted_costs
@@ -36,6 +38,7 @@ COSTS: dict[str, Cost] = {
     'moving disc': Containment(2.0, 0.3, ROUTE),
     'point': Containment(2.0, 0.0, ROUTE),
     'leash': Leash(0.7, ROUTE),
+    'spacing': Spacing(0.7, 1.5),
     'control effort': ControlEffort(0.3, CONTROL),
 }
 COSTS['all'] = Objective(list(COSTS.values()))
@@ -101,6 +104,19 @@ def test_costs_are_the_sums_they_say(played: Played) -> None:
     expected += DT * SUBSTEPS * w.control / 2 * float(np.square(u - CONTROL).sum())
     objective = Objective([*weighted_costs(w, ROUTE, 0.05), ControlEffort(w.control, CONTROL)])
     assert objective.value_and_derivatives(trajectory, u)[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_spacing_is_the_sum_it_says(random_herd: HerdMaker) -> None:
+    u = np.random.default_rng(1).normal(0.0, 0.05, (INTERVALS, 5, 2))
+    trajectory = rollout(Crowd(), random_herd(3, 5), u, DT, SUBSTEPS)
+    expected = 0.0
+    for d in trajectory.d[1:]:
+        for one, other in itertools.combinations(d, 2):
+            expected += DT * 0.7 * max(1.0 - (math.dist(one, other) / 1.2) ** 2, 0.0) ** 2
+    assert expected > 0.0
+    cost = Spacing(0.7, 1.2)
+    assert cost.value_and_derivatives(trajectory, u)[0] == pytest.approx(expected, rel=1e-12)
+    assert min(taylor_orders(cost, trajectory, u, np.random.default_rng(3))) > 1.9
 
 
 def test_equal_weights_are_the_cost_of_the_paper(played: Played) -> None:

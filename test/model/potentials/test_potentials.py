@@ -138,7 +138,7 @@ def test_tabulated_reproduces_the_potential_it_samples() -> None:
         (lambda: Tabulated((1.0,), (1.0,)), 'at least two increasing numbers'),
         (lambda: Tabulated((0.0, 1.0), (1.0,)), 'Tabulated.values must have shape (2,), got (1,)'),
         (lambda: Tabulated((0.0, np.nan), (1.0, 0.0)), 'Tabulated.distances must be finite'),
-        (lambda: PowerLaw(length=0.0), 'PowerLaw.length must be from 1e-09 to 1e+06, got 0.0'),
+        (lambda: PowerLaw(length=0.0), 'PowerLaw.length must be from 1e-09 to 1e+09, got 0.0'),
         (lambda: Crowd(sheep=3), 'Crowd.sheep must be a Potential, got 3'),  # type: ignore
     ],
 )

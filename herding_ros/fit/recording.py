@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was seen of sheep and dogs, as a fit wants it: from a bag or from a table (CSV)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import csv
+from dataclasses import dataclass
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+from herding_ros.bag.reader import read_run
+from herding_ros.bag.recorded_run import RecordedRun
+from herding_ros.model.state import Array, finite
+import numpy as np
+
+COLUMNS = ('time', 'name', 'x', 'y')
+"""Columns that a table must have; vx and vy may be there too."""
+
+_LEAST = 3
+"""A recording has at least so many instants."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Sheep and dogs at T instants.
+
+    times: (T,) [s], increasing; x: (T, N, 2) observed positions of the sheep [m] and v: (T, N, 2)
+    their velocities [m/s], NaN where there are none; d: (T, M, 2) positions of the dogs [m].
+    position_noise [m], velocity_noise [m/s]: standard deviations of what is observed of the sheep,
+    None where they are not known. Raises ValueError on wrong shapes and numbers.
+    """
+
+    times: Array
+    x: Array
+    v: Array
+    d: Array
+    name: str = 'recording'
+    position_noise: float | None = None
+    velocity_noise: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check shapes, order of the times, and that there is something to see."""
+        times, d = finite('times', self.times, (None,)), finite('dogs d', self.d, (None, None, 2))
+        x, v = (np.array(each, dtype=np.float64) for each in (self.x, self.v))
+        if len(times) < _LEAST or not (np.diff(times) > 0.0).all():
+            raise ValueError(
+                f'{self.name}: times must be at least {_LEAST}, each after the one before, '
+                f'got {len(times)}'
+            )
+        if x.ndim != 3 or x.shape != v.shape or x.shape[::2] != (len(times), 2):
+            raise ValueError(
+                f'{self.name}: x and v must have shape ({len(times)}, sheep, 2), '
+                f'got {x.shape} and {v.shape}'
+            )
+        if len(d) != len(times):
+            raise ValueError(f'{self.name}: d must have {len(times)} instants, got {len(d)}')
+        if not np.isfinite(x).all(axis=2).any(axis=0).all():
+            raise ValueError(f'{self.name}: each sheep must be seen at least once')
+        for name, value in (('times', times), ('d', d), ('x', x), ('v', v)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last instant [s]."""
+        return float(self.times[-1] - self.times[0])
+
+
+def from_bag(path: str | os.PathLike[str], namespace: str | None = None) -> Recording:
+    """Return what was observed in a bag; the truth, which a simulation records too, is not used.
+
+    The noise of the sensors is that of our sim, if its parameters are in the bag. Raises what
+    `read_run` raises, and ValueError for a bag without dogs.
+    """
+    run = read_run(path, namespace, observed=True)
+    sensors = _sensors(run)
+    return Recording(
+        run.times, run.x, run.v, without_gaps(run.times, run.d), str(path),
+        sensors.get('position_noise'), sensors.get('velocity_noise'),
+    )  # fmt: skip
+
+
+def _sensors(run: RecordedRun) -> Mapping[str, Any]:
+    return run.parameters.get(f'{run.namespace}/sim', {})
+
+
+def without_gaps(times: Array, d: Array) -> Array:
+    """Return positions (T, M, 2) of dogs, straight lines where one was silent (NaN)."""
+    out = np.array(d, dtype=np.float64)
+    for m in range(out.shape[1]):
+        for c in range(2):
+            known = np.isfinite(out[:, m, c])
+            if not known.any():
+                raise ValueError(f'dog {m} must be seen at least once')
+            out[:, m, c] = np.interp(times, times[known], out[known, m, c])
+    return out
+
+
+def from_table(path: str | os.PathLike[str]) -> Recording:
+    """Return what a CSV file says: a row for each animal and instant.
+
+    Its columns are time [s], name, x, y [m], and, if velocities were measured, vx, vy [m/s]. Names
+    that begin with `dog` are those of dogs, all others those of sheep. Raises OSError when it
+    cannot be read, ValueError with the line that is wrong.
+    """
+    rows = list(_rows(Path(path)))
+    times = np.unique([row[0] for row in rows])
+    names = sorted({row[1] for row in rows})
+    animals = {name: i for i, name in enumerate(names)}
+    seen = np.full((len(times), len(names), 4), np.nan)
+    for time, name, values in rows:
+        seen[np.searchsorted(times, time), animals[name]] = values
+    dogs = np.array([name.startswith('dog') for name in names], dtype=bool)
+    if dogs.all() or not dogs.any():
+        raise ValueError(
+            f'{path}: there must be sheep, and dogs with names that begin with dog, '
+            f'got {", ".join(names[:10])}'
+        )
+    d = without_gaps(times, seen[:, dogs, :2])
+    return Recording(times, seen[:, ~dogs, :2], seen[:, ~dogs, 2:], d, str(path))
+
+
+def _rows(path: Path) -> Any:
+    with path.open(newline='', encoding='utf-8') as file:
+        reader = csv.DictReader(file)
+        missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+        if missing:
+            raise ValueError(f'{path}: must have the columns {", ".join(COLUMNS)}, lacks '
+                             f'{", ".join(missing)}')  # fmt: skip
+        known = set()
+        for line, row in enumerate(reader, 2):
+            try:
+                time, *values = (
+                    float(row.get(key) or 'nan') for key in ('time', 'x', 'y', 'vx', 'vy')
+                )
+            except ValueError:
+                raise ValueError(f'{path}, line {line}: must be numbers, got {row}') from None
+            if not math.isfinite(time) or not math.isfinite(sum(values[:2])):
+                raise ValueError(f'{path}, line {line}: time, x and y must be finite, got {row}')
+            if (time, row['name']) in known:
+                raise ValueError(
+                    f'{path}, line {line}: {row["name"]} must be there once at {time:g} s'
+                )
+            known.add((time, row['name']))
+            yield time, row['name'], values
+
+
+def read(path: str | os.PathLike[str], namespace: str | None = None) -> Recording:
+    """Return a recording: a folder is a bag, a file a table. Raises what these raise."""
+    return from_bag(path, namespace) if Path(path).is_dir() else from_table(path)

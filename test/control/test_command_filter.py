@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands on their way from a plan to the dogs."""
+
+from herding_ros.control.command_filter import CommandFilter
+from herding_ros.control.parameters import Bodies, Control, PAPER
+from herding_ros.model.state import HerdState
+import numpy as np
+import pytest
+
+BODIES = Bodies(separation=0.1, margin=0.0, ramp=0.0)
+ALL = (0, 1, 2)
+D = np.array([[0.0, 0.0], [0.12, 0.0], [0.0, 3.0]])
+U = np.array([[0.05, 0.0], [-0.05, 0.0], [0.0, 0.05]])
+STAND = np.zeros((3, 2))
+
+
+def state(d=D, x=((9.0, 9.0),)):
+    x = np.array(x)
+    return HerdState(x, np.zeros_like(x), np.array(d))
+
+
+def filtered(bodies, asked=U, last=STAND, herd=None, dogs=ALL, filter=None):
+    filter = CommandFilter(3) if filter is None else filter
+    herd = state() if herd is None else herd
+    return filter.filtered(asked, last, herd, dogs, Control(bodies=bodies))
+
+
+def test_dogs_that_would_meet_are_slowed_down_and_others_are_not():
+    command = filtered(BODIES)
+    assert command.changed
+    assert not command.too_near
+    closing = (command.u[0] - command.u[1])[0]
+    assert 0.0 < closing * 0.1 < 0.02  # less than there is between them, in a control period
+    assert (command.u[2] == U[2]).all()
+
+
+def test_the_paper_s_commands_are_those_of_its_plans():
+    command = filtered(PAPER.bodies, last=-U, herd=state(np.zeros((3, 2))))
+    assert not command.changed
+    assert (command.u == U).all()
+
+
+def test_margin_and_delay_keep_dogs_farther_apart():
+    def closing(**changes):
+        u = filtered(Bodies(separation=0.1, ramp=0.0, **changes)).u
+        return (u[0] - u[1])[0]
+
+    near, wide = closing(margin=0.0), closing(margin=0.01)
+    assert wide < near
+    assert closing(margin=0.0, delay=1.0) < near
+
+
+def test_a_command_changes_by_no_more_than_the_ramp_allows():
+    bodies = Bodies(separation=0.0, ramp=0.5)
+    last = -U
+    for _ in range(20):
+        u = filtered(bodies, last=last).u
+        assert np.linalg.norm(u - last, axis=1).max() <= 0.05 * 0.1 / 0.5 + 1e-15
+        last = u
+    assert u == pytest.approx(U, abs=1e-15)
+
+
+def test_smooth_commands_keep_dogs_apart_that_run_at_each_other_with_noisy_odometry():
+    rng = np.random.default_rng(0)
+    bodies = Bodies()
+    d = D + np.array([[-0.3, 0.0], [0.3, 0.01], [0.0, 0.0]])
+    last, filter = STAND, CommandFilter(3)
+    nearest, largest = np.inf, 0.0
+    for _ in range(300):
+        seen = state(d + 0.01 * rng.normal(size=d.shape))
+        u = filtered(bodies, last=last, herd=seen, filter=filter).u
+        largest = max(largest, np.linalg.norm(u - last, axis=1).max())
+        d, last = d + 0.1 * u, u
+        nearest = min(nearest, np.linalg.norm(d[0] - d[1]))
+    assert 0.1 <= nearest < 0.2
+    assert largest < 0.3 * 0.05
+    assert d[0, 0] > d[1, 0] + 0.2  # they have passed
+
+
+def test_a_dog_that_is_hidden_stands_in_the_way_and_keeps_its_command():
+    filter = CommandFilter(3)
+    bodies = Bodies(separation=0.1, margin=0.0, ramp=0.5)
+    filtered(bodies, filter=filter)
+    stopped = U.copy()
+    stopped[1] = 0.0
+    command = filtered(
+        bodies, stopped, U, state([[0.02, 0.0], [0.0, 3.0]]), (0, 2), filter
+    )  # dog 0 has come up to dog 1
+    assert (command.u[1] == 0.0).all()
+    assert command.u[0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert command.changed
+
+
+def test_a_dog_keeps_from_sheep():
+    bodies = Bodies(separation=0.0, sheep_distance=0.1, margin=0.0, ramp=0.0)
+    command = filtered(bodies, herd=state(x=[[0.1, 0.0], [5.0, 5.0]]))
+    assert command.u[0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert command.changed
+    behind = filtered(bodies, STAND, herd=state(x=[[0.0, -0.09]])).u
+    assert behind[0] == pytest.approx([0.0, 0.01 / (np.e * 0.35)], rel=1e-3)
+    assert not behind[1:].any()
+    meeting = filtered(bodies)  # and from sheep only
+    assert not meeting.changed
+    assert (meeting.u == U).all()
+
+
+def test_a_pair_that_is_too_near_is_noticed_and_parts():
+    herd = state([[0.0, 0.0], [0.05, 0.0], [0.0, 3.0]])
+    command = filtered(BODIES, herd=herd)
+    assert command.too_near
+    assert command.u[0, 0] < 0.0 < command.u[1, 0]
+
+
+def test_separation_that_dogs_cannot_have_without_touching_is_refused():
+    with pytest.raises(ValueError, match=r'at least twice the radius, 0\.2 m, got 0\.15'):
+        Bodies(radius=0.1, separation=0.15)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings read from bags and tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from herding_ros.fit.recording import from_bag, from_table, read
+import numpy as np
+import pytest
+
+TABLE = """time,name,x,y,vx,vy
+0.0,dolly,1.0,2.0,0.5,-0.5
+0.0,dog_1,5.0,5.0,,
+0.5,dolly,1.5,2.0,,
+1.0,dolly,2.0,2.5,,
+1.0,dog_1,6.0,7.0,,
+1.0,molly,3.0,3.0,,
+"""
+
+
+def test_a_table_becomes_arrays(tmp_path: Path) -> None:
+    (tmp_path / 'a.csv').write_text(TABLE)
+    found = read(tmp_path / 'a.csv')
+    np.testing.assert_array_equal(found.times, [0.0, 0.5, 1.0])
+    nan = np.nan
+    np.testing.assert_array_equal(found.x[:, 0], [[1.0, 2.0], [1.5, 2.0], [2.0, 2.5]])
+    np.testing.assert_array_equal(found.x[:, 1], [[nan, nan], [nan, nan], [3.0, 3.0]])
+    np.testing.assert_array_equal(found.v[:, 0], [[0.5, -0.5], [nan, nan], [nan, nan]])
+    # The dog was silent at 0.5 s: half-way.
+    np.testing.assert_array_equal(found.d[:, 0], [[5.0, 5.0], [5.5, 6.0], [6.0, 7.0]])
+    assert found.position_noise is None
+
+
+@pytest.mark.parametrize(
+    ('table', 'refusal'),
+    [
+        ('time,name,x\n0,a,1\n', 'must have the columns time, name, x, y, lacks y'),
+        (TABLE.replace('1.5,2.0', '1.5,wet'), 'line 4: must be numbers'),
+        (TABLE.replace('1.5,2.0', '1.5,'), 'line 4: time, x and y must be finite'),
+        (TABLE.replace('dog_1', 'rex'), 'names that begin with dog, got dolly, molly, rex'),
+        (TABLE.replace('olly', 'ogly').replace('mogly', 'dog_2').replace('dogly', 'dog_3'),
+         'there must be sheep'),
+        (TABLE.replace('0.5,dolly', '1.0,dolly'), 'line 5: dolly must be there once at 1 s'),
+    ],
+)  # fmt: skip
+def test_bad_tables_are_refused(tmp_path: Path, table: str, refusal: str) -> None:
+    (tmp_path / 'a.csv').write_text(table)
+    with pytest.raises(ValueError, match=refusal):
+        from_table(tmp_path / 'a.csv')
+
+
+def test_of_a_bag_the_observations_are_read(tmp_path: Path, run_recorder: Any) -> None:
+    parameters = {'/sim': {'position_noise': 0.02, 'velocity_noise': 0.03}}
+    rng = np.random.default_rng(0)
+    truth, seen = rng.integers(-512, 512, (2, 5, 3, 2)) / 256.0
+    dogs, odometry = rng.integers(-512, 512, (2, 5, 2)) / 256.0
+    with run_recorder(tmp_path / 'bag', parameters) as recorder:
+        for k in range(5):
+            recorder.sheep('/truth/sheep', k * 10**8, truth[k], truth[k])
+            recorder.sheep('/sheep', k * 10**8, seen[k], -seen[k])
+            recorder.odometry('/truth/dog_1/odom', k * 10**8, dogs[k])
+            recorder.odometry('/dog_1/odom', k * 10**8, odometry[k])
+    found = read(tmp_path / 'bag')
+    np.testing.assert_array_equal(found.x, seen)
+    np.testing.assert_array_equal(found.v, -seen)
+    np.testing.assert_array_equal(found.d[:, 0], odometry)
+    assert (found.position_noise, found.velocity_noise) == (0.02, 0.03)
+
+
+def test_truth_alone_is_no_observation(tmp_path: Path, run_recorder: Any) -> None:
+    with run_recorder(tmp_path / 'bag') as recorder:
+        for k in range(5):
+            recorder.sheep('/truth/sheep', k * 10**8, np.ones((3, 2)), np.ones((3, 2)))
+            recorder.odometry('/dog_1/odom', k * 10**8, np.ones(2))
+    with pytest.raises(ValueError, match='no observed sheep: /sheep must have messages'):
+        from_bag(tmp_path / 'bag')
