@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A cost of one's own: two dogs closer than 0.2 m to each other are penalised."""
+"""A cost of one's own: two dogs closer than 0.3 m to each other are penalised."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ class Spacing:
 
 
 for weight in (0.0, 1.0):
-    costs = [Spacing(weight, distance=0.2)]
+    costs = [Spacing(weight, distance=0.3)]
     run = closed_loop(Crowd(), World(sheep=20), Control(), [0.5, 0.5], 100.0, costs)
     one, other = np.triu_indices(5, k=1)
     closest = np.linalg.norm(run.d[:, one] - run.d[:, other], axis=-1).min()

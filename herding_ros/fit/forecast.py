@@ -21,8 +21,9 @@ AHEAD = (0.0, 1.0, 3.0, 10.0)
 class Forecast:
     """Errors of predicted positions (L,) [m] at times ahead (L,) [s], root mean square.
 
-    error: what they are; expected: what the crowd says of them, its noise and that of the sensors;
-    standing: what they would be if all sheep stood still.
+    error: what they are; expected: what the crowd says of most sheep, by its noise and that of the
+    sensors, but not of those that another one is so near to that forces are in doubt; standing:
+    what they would be if all sheep stood still.
     """
 
     ahead: Array
@@ -45,7 +46,7 @@ def forecast(
         off, variance, stood = (np.concatenate(part) for part in zip(*found, strict=True))
         # Both coordinates together: a distance.
         error.append(np.sqrt(2.0 * np.nanmean(off**2)))
-        expected.append(np.sqrt(2.0 * np.nanmean(variance)))
+        expected.append(np.sqrt(2.0 * np.nanmedian(variance)))
         standing.append(np.sqrt(2.0 * np.nanmean(stood**2)))
     return Forecast(np.array(leads), np.array(error), np.array(expected), np.array(standing))
 

@@ -10,6 +10,7 @@ from typing import Any
 from herding_ros.model.parameters import Parameters
 from herding_ros.report.style import BLUE, GREY, new, RED, save
 import numpy as np
+import yaml
 
 from .estimate import CONFIDENCE, Estimate, Fit
 from .forecast import Forecast
@@ -62,8 +63,8 @@ def _written(value: Any) -> str:
     if isinstance(value, tuple):
         return f'[{", ".join(map(_written, value))}]'
     if isinstance(value, float):
-        text = f'{value:.{_DIGITS}g}'
-        return repr(float(text))
+        rounded = float(f'{value:.{_DIGITS}g}')
+        return str(yaml.safe_dump(rounded)).splitlines()[0]
     return str(value)
 
 

@@ -56,7 +56,11 @@ CROWDS = {
     'printed': Crowd(sheep=Morse(1.0, 2.0, 5e-4, 1e-2), dog=Morse(1e-2, 0.5, 5e-4, 1e-2)),
     'guided': Crowd(dog=Morse(2e-3, 0.1, 2e-2, 1.0)),
     'independent': Crowd(Morse(0.0, 1e-2, 0.0, 2.0), Harmonic(), friction=1.0, order=1),
-}
+    'sheep': Crowd(
+        Morse(8.9, 1.77, 21.4, 9.6), Morse(2.8, 2.3, 0.0, 2.0), friction=0.25,
+        alignment=Alignment(4.2, 1.7), noise=0.65, common_noise=0.45,
+    ),
+}  # fmt: skip
 """Crowds by name; `sheep` is the potential between two sheep, `dog` that of a dog on a sheep.
 
 `cohesive` is the paper's with the two lengths swapped, so that the text's long-range
@@ -64,5 +68,6 @@ attraction and short-range repulsion hold; `printed` takes the paper literally, 
 crowd explodes. `guided` follows its dogs, which are guides: they attract, but not to
 themselves, since both parts have the same slope at r = 0. `independent` sheep do not notice each
 other and have no inertia, after the targets of Lama and di Bernardo (2024, arXiv:2307.16797): like
-theirs they flee from dogs as fast as these run.
+theirs they flee from dogs as fast as these run. `sheep` predicts real ones, 14 that a dog drove
+in the recordings of Jadhav et al. (2024, Communications Biology 7, 1543): doc/fit.md.
 """

@@ -20,8 +20,9 @@ HerdMaker = Callable[..., HerdState]
 
 NOTHING = Morse(repulsion=0.0, attraction=0.0)
 QUIET = dataclasses.replace(CROWDS['cohesive'], noise=0.0)
-# The preset without inertia is that of test_first_order.py.
-presets = pytest.mark.parametrize('preset', [name for name in CROWDS if name != 'independent'])
+# Crowds without inertia are those of test_first_order.py, those that align of test_alignment.py.
+OF_THE_PAPER = [n for n, crowd in CROWDS.items() if crowd.order == 2 and not crowd.alignment.rate]
+presets = pytest.mark.parametrize('preset', OF_THE_PAPER)
 
 
 def potential(r: float, p: Morse) -> float:
