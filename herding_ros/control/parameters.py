@@ -280,6 +280,18 @@ class Sensor(Parameters):
         'm/s^0.5',
         low=0.0,
     )
+    timeout: float = quantity(
+        10.0,
+        'time out of sight after which a sheep is lost; until then it is carried along by the '
+        'model, if a noise is above 0. Longer than any time between two observations',
+        's',
+        low=TINY,
+    )
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether there is nothing to filter out."""
+        return not (self.position_noise or self.velocity_noise)
 
 
 @dataclass(frozen=True)

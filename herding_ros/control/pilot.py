@@ -9,7 +9,7 @@ in how they keep time: `LockstepPilot` replies to each observation, however long
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 import threading
 from typing import Protocol
@@ -28,6 +28,9 @@ from .schedule import ScheduledPlan
 from .solution import NoTimeFor, Status
 from .surprise import is_surprising
 from .window import Window
+
+_NAMED = 10
+"""Of no more lost sheep the names are told."""
 
 _REPEAT = 30.0
 """Time after which an event is reported again that has occurred again [s]."""
@@ -61,13 +64,15 @@ class Observed:
     """The sheep and the visible dogs at an instant.
 
     stamp: time [ns]; ids: (N,) names of the sheep; state: of these sheep and of the visible
-    dogs; dogs: these, by their indices from 0.
+    dogs; dogs: these, by their indices from 0; is_velocity_seen: (N,), None: all. Of the other
+    sheep only the positions count.
     """
 
     stamp: int
     ids: NDArray[np.integer]
     state: HerdState
     dogs: tuple[int, ...]
+    is_velocity_seen: NDArray[np.bool_] | None = None
 
     @classmethod
     def complete(cls, t: float, state: HerdState) -> Observed:
@@ -154,6 +159,7 @@ class Pilot:
         self._visible: tuple[int, ...] = ()
         self._command: Array = np.zeros((self.dogs, 2))  # the last one
         self._filter = CommandFilter(self.dogs)
+        self._commands, self._sum_of_commands = 0, np.zeros_like(self._command)  # since observed
         self._afresh = True
         self.estimate = None
         self._estimator.reset()
@@ -175,6 +181,17 @@ class Pilot:
     def silent_dogs(self) -> list[str]:
         """Names of the dogs that are not visible."""
         return [dog_name(m) for m in range(self.dogs) if m not in self._visible]
+
+    def estimate_values(self) -> dict[str, object]:
+        """Return what the filter knows of its own errors, by name; empty if there is none."""
+        deviations = self._estimator.deviations
+        if deviations is None:
+            return {}
+        return {
+            'sheep_out_of_sight': self._estimator.carried,
+            'position_error_m': deviations[0],
+            'velocity_error_m_s': deviations[1],
+        }
 
     def _advance_to(self, t: float) -> float:
         """Return the time [s] to decide for: t, or the last time if t is before it by jitter."""
@@ -203,16 +220,46 @@ class Pilot:
         """Filter an observation; each counts once."""
         last = self.estimate
         if last is None or (observed.stamp, observed.dogs) != (last.stamp, last.dogs):
+            u = self._sum_of_commands / self._commands if self._commands else self._command
+            self._commands, self._sum_of_commands = 0, np.zeros_like(u)
             try:
                 state = self._estimator.update(
-                    observed.t, observed.ids, observed.state, self._command, observed.dogs
+                    observed.t,
+                    observed.ids,
+                    observed.state,
+                    u,
+                    observed.dogs,
+                    observed.is_velocity_seen,
                 )
+                ids = self._estimator.ids
             except (ValueError, ArithmeticError) as error:  # the prediction is not finite
                 self._record_failure(error)
                 self._estimator.reset()
-                state = observed.state
-            last = self.estimate = replace(observed, state=state)
+                state, ids = observed.state, observed.ids
+            self._tell_of_hidden_sheep()
+            last = self.estimate = Observed(observed.stamp, ids, state, observed.dogs)
         return last
+
+    def _tell_of_hidden_sheep(self) -> None:
+        timeout = self._control.sensor.timeout
+        if self._estimator.is_new:
+            self._say(
+                'warning',
+                f'no observation for longer than sensor.timeout, {timeout:g} s: the filter starts '
+                'afresh',
+            )
+        if self._estimator.carried:
+            self._say(
+                'info',
+                f'sheep out of sight are carried along by the model for up to {timeout:g} s',
+            )
+        if lost := self._estimator.lost:
+            names = ', '.join(map(str, lost[:_NAMED])) + ' ...' * (len(lost) > _NAMED)
+            self._say(
+                'warning',
+                f'sheep out of sight for {timeout:g} s are lost, the plans go on '
+                f'without them: {names}',
+            )
 
     def _is_feedback_due(self, plan: ScheduledPlan, estimate: Observed) -> bool:
         """Whether a plan, made for the dogs that are visible, is to be improved.
@@ -284,6 +331,10 @@ class Pilot:
     def _decision(self, command: Array | None, announcement: Announcement | None) -> Decision:
         if command is not None:
             self._command = command
+            self._commands, self._sum_of_commands = (
+                self._commands + 1,
+                self._sum_of_commands + command,
+            )
         decision = Decision(command, announcement, tuple(self._events), self._error)
         self._events, self._error = [], None
         return decision

@@ -253,6 +253,7 @@ class Controller(HerdingNode):
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
             'commands_changed': pilot.commands_changed,
+            **pilot.estimate_values(),
             **self._refused.report_values(),
             **mismatched,
         }

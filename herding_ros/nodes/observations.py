@@ -40,6 +40,7 @@ class Observations:
         self._timeout = timeout
         self._control_period = control.horizon.control_period
         self._motion = control.motion
+        self._needs_velocities = not control.sensor.position_noise
         self._refused = refused
         self._now = 0
         self._flock: messages.Sheep | None = None
@@ -67,7 +68,9 @@ class Observations:
         """Take the messages that have come in; stamps are checked if `now` [ns] is given."""
         for data, _ in self._sheep.take():
             try:
-                flock = messages.sheep_in(data, self._frame, self._most_sheep)
+                flock = messages.sheep_in(
+                    data, self._frame, self._most_sheep, self._needs_velocities
+                )
                 self._check_stamp(flock.ns, now, self._flock.ns if self._flock else 0)
                 self._flock = flock
             except ValueError as error:
@@ -115,7 +118,8 @@ class Observations:
 
     def _observed(self, flock: messages.Sheep, dogs: tuple[int, ...]) -> Observed:
         states = np.array([self._dogs[m][1] for m in dogs])
-        return Observed(flock.ns, flock.ids, HerdState(flock.x, flock.v, states), dogs)
+        state = HerdState(flock.x, flock.v, states)
+        return Observed(flock.ns, flock.ids, state, dogs, flock.is_velocity_seen)
 
     def _state_of_dog(self, position: Array, heading: float, velocity: Array) -> Array:
         """Return the state (S,) of a dog; refuse odometry that lacks what its motion needs."""

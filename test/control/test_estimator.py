@@ -9,7 +9,9 @@ from typing import Any
 
 from herding_ros.control.closed_loop import closed_loop, play
 from herding_ros.control.estimator import StateEstimator
+from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import Bodies, Control, Horizon, Mapping, Sensor
+from herding_ros.control.pilot import Observed
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.alignment import Alignment
 from herding_ros.model.crowd import Crowd, CROWDS
@@ -96,17 +98,20 @@ class DenseFilter:
     the formula of the potential.
     """
 
-    def __init__(self, crowd: Crowd, sensor: Sensor, observed: HerdState) -> None:
+    def __init__(
+        self, crowd: Crowd, sensor: Sensor, observed: HerdState, moving: bool = True
+    ) -> None:
         self.crowd, self.sensor, self.n = crowd, sensor, len(observed.x)
         p, q, m = sensor.position_noise**2, sensor.velocity_noise**2, len(observed.d)
         at_random = crowd.noise**2 / (2.0 * crowd.friction)
-        velocity = 1.0 / (1.0 / q + 1.0 / at_random)
+        velocity = 1.0 / (1.0 / q + 1.0 / at_random) if moving else at_random
         self.mean = self.stacked(observed)
         for i in range(self.n):
-            self.mean[4 * i + 2 : 4 * i + 4] *= velocity / q
+            self.mean[4 * i + 2 : 4 * i + 4] *= velocity / q if moving else 0.0
         self.covariance = np.diag([p, p, velocity, velocity] * self.n + [p, p] * m)
         self.frictions = self.frictions_here()
         self.noise = np.diag([p, p, q, q] * self.n + [p, p] * m)
+        self.seen = np.array([True, True, moving, moving] * self.n + [True, True] * m)
 
     @staticmethod
     def stacked(state: HerdState) -> Array:
@@ -164,9 +169,11 @@ class DenseFilter:
         self.covariance = forward @ self.covariance @ forward.T + force
 
     def correct(self, observed: HerdState) -> None:
-        gain = self.covariance @ np.linalg.inv(self.covariance + self.noise)
-        self.mean = self.mean + gain @ (self.stacked(observed) - self.mean)
-        self.covariance = self.covariance - gain @ self.covariance
+        look = np.eye(len(self.mean))[self.seen]
+        expected = look @ (self.covariance + self.noise) @ look.T
+        gain = self.covariance @ look.T @ np.linalg.inv(expected)
+        self.mean = self.mean + gain @ look @ (self.stacked(observed) - self.mean)
+        self.covariance = self.covariance - gain @ look @ self.covariance
         self.frictions = self.frictions_here()
 
 
@@ -201,6 +208,67 @@ def test_it_is_the_textbook_filter(
             dense.step(u, PERIOD / SUBSTEPS)
         dense.correct(observed)
         np.testing.assert_allclose(DenseFilter.stacked(believed), dense.mean, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    'crowd', [FLOCK, replace(FLOCK, friction=2.0, alignment=Alignment(1.0, 0.4))]
+)
+def test_without_velocities_it_is_the_textbook_filter(
+    crowd: Crowd, random_herd: Callable[..., HerdState]
+) -> None:
+    """At unequal times, 1 to 30 a second; what stands in place of a velocity has no effect."""
+    rng, ids, unseen = np.random.default_rng(1), np.arange(5), np.full(5, False)
+    state, t = random_herd(5, 2, seed=3), 10.0
+    observed = blurred(state, rng, 0.005)
+    ours, dense = estimator(crowd, NOISY), DenseFilter(crowd, NOISY, observed, moving=False)
+    ours.update(t, ids, observed, np.zeros((2, 2)), is_velocity_seen=unseen)
+    for elapsed in [0.1, 0.033, 0.37, 1.0, *rng.uniform(1.0 / 30.0, 1.0, 15)]:
+        u = rng.normal(0.0, 0.03, (2, 2))
+        t += elapsed
+        steps = max(round(elapsed / PERIOD * SUBSTEPS), 1)
+        state = rollout(crowd, state, u[None], elapsed / 50, 50).at(-1)
+        observed = replace(blurred(state, rng, 0.005), v=rng.normal(0.0, 9.0, (5, 2)))
+        believed = ours.update(t, ids, observed, u, is_velocity_seen=unseen)
+        for _ in range(steps):
+            dense.step(u, elapsed / steps)
+        dense.correct(observed)
+        np.testing.assert_allclose(DenseFilter.stacked(believed), dense.mean, rtol=0, atol=1e-9)
+    variances = np.diag(dense.covariance)[: 4 * 5].reshape(5, 4)
+    expected = np.sqrt(variances.mean(axis=0)[[0, 2]])
+    np.testing.assert_allclose(ours.deviations, expected, rtol=1e-6)
+
+
+def test_velocities_that_some_sheep_have_are_used(random_herd: Callable[..., HerdState]) -> None:
+    u, has = np.zeros((1, 2)), np.array([True, False, True])
+    part, with_all, without = estimator(APART), estimator(APART), estimator(APART)
+    for k, each in enumerate(Watched(APART, random_herd(3, 1), u, 20, 0.05).seen):
+        found = part.update(k * PERIOD, np.arange(3), each, u, is_velocity_seen=has)
+        full = with_all.update(k * PERIOD, np.arange(3), each, u)
+        bare = without.update(k * PERIOD, np.arange(3), each, u, is_velocity_seen=has & False)
+    for name in 'xv':
+        one, two, none = (getattr(state, name) for state in (found, full, bare))
+        np.testing.assert_array_equal(one[has], two[has])
+        np.testing.assert_array_equal(one[~has], none[~has])
+        assert (two[~has] != none[~has]).all()
+
+
+def test_velocities_are_not_made_without_a_noise_to_weigh_positions_by(
+    random_herd: Callable[..., HerdState],
+) -> None:
+    for sensor in (Sensor(), Sensor(velocity_noise=0.1)):
+        with pytest.raises(ValueError, match=r'position_noise must be above 0 where .* got 0'):
+            estimator(FLOCK, sensor).update(
+                0.0, np.arange(3), random_herd(3, 1), np.zeros((1, 2)),
+                is_velocity_seen=np.array([True, False, True]),
+            )  # fmt: skip
+
+
+def test_what_it_says_of_its_errors_is_true() -> None:
+    for is_velocity_seen in (True, False):
+        true, _, believed, ours = linear_data(APART, NOISY, is_velocity_seen=is_velocity_seen)
+        errors = np.sqrt(np.square(believed - true)[[SETTLED, -1]].mean(axis=(0, 1, 3)))
+        np.testing.assert_allclose(ours.deviations, errors, rtol=4.0 / math.sqrt(4 * SHEEP))
+    assert estimator(sensor=Sensor()).deviations is None
 
 
 def system(crowd: Crowd, sensor: Sensor) -> tuple[Array, Array, Array]:
@@ -250,8 +318,10 @@ def test_gain_becomes_that_of_the_riccati_equation(crowd: Crowd, sensor: Sensor)
 SHEEP, UPDATES, SETTLED = 600, 120, 60
 
 
-def linear_data(crowd: Crowd, sensor: Sensor, seed: int = 0) -> tuple[Array, Array, Array]:
-    """What is, is seen and is believed: (updates, SHEEP, 2 [position, velocity], 2)."""
+def linear_data(
+    crowd: Crowd, sensor: Sensor, seed: int = 0, is_velocity_seen: bool = True
+) -> tuple[Array, Array, Array, StateEstimator]:
+    """What is, is seen and is believed: (updates, SHEEP, 2 [position, velocity], 2); by whom."""
     rng, dt = np.random.default_rng(seed), PERIOD / SUBSTEPS
     x, v = rng.normal(0.0, 0.3, (SHEEP, 2)), rng.normal(0.0, 0.01, (SHEEP, 2))
     ours, d, u = estimator(crowd, sensor), np.ones((1, 2)), np.zeros((1, 2))
@@ -260,18 +330,21 @@ def linear_data(crowd: Crowd, sensor: Sensor, seed: int = 0) -> tuple[Array, Arr
         observed = HerdState(
             x + 0.05 * rng.standard_normal(x.shape), v + 0.05 * rng.standard_normal(x.shape), d
         )
-        belief = ours.update(k * PERIOD, np.arange(SHEEP), observed, u)
+        belief = ours.update(
+            k * PERIOD, np.arange(SHEEP), observed, u,
+            is_velocity_seen=np.full(SHEEP, is_velocity_seen),
+        )  # fmt: skip
         for rows, state in ((true, HerdState(x, v, d)), (seen, observed), (believed, belief)):
             rows.append(np.stack([state.x, state.v], axis=1))
         for _ in range(SUBSTEPS):
             force = 0.01 * math.sqrt(dt) * rng.standard_normal(x.shape)
             x, v = x + dt * v, (1.0 - APART.friction * dt) * v + force
-    return np.array(true), np.array(seen), np.array(believed)
+    return np.array(true), np.array(seen), np.array(believed), ours
 
 
 def test_errors_are_as_small_as_can_be() -> None:
     """Their variance is that of the Riccati equation, 4 standard errors of the sample allowed."""
-    true, seen, believed = linear_data(APART, NOISY)
+    true, seen, believed, _ = linear_data(APART, NOISY)
     errors = (believed - true)[[SETTLED, -1]]  # 6 s apart, after which they have changed
     covariance = np.einsum('tnic,tnjc->ij', errors, errors) / errors[:, :, 0].size
     wanted = steady(APART, NOISY)[1]
@@ -283,7 +356,7 @@ def test_errors_are_as_small_as_can_be() -> None:
 
 def correlation_of_surprises(sensor: Sensor) -> float:
     """Largest correlation of what observations bring with what the ones before brought."""
-    _, seen, believed = linear_data(APART, sensor)
+    _, seen, believed, _ = linear_data(APART, sensor)
     forward = system(APART, NOISY)[0]
     new = (seen[1:] - np.einsum('ij,tnjc->tnic', forward, believed[:-1]))[SETTLED:]
     found = []
@@ -340,19 +413,69 @@ def test_sheep_are_known_by_their_names_not_their_rows(
         np.testing.assert_allclose(other.v, one.v[rows], rtol=0, atol=1e-12)
 
 
-def test_lost_sheep_are_dropped_and_new_ones_start_where_they_are_seen(
+def test_sheep_out_of_sight_are_predicted_and_then_lost(
     random_herd: Callable[..., HerdState],
 ) -> None:
+    """A sheep hides for 1.5 s, as if its observations had no weight; another one for good."""
+    u, names, state = np.array([[0.05, 0.0]]), np.arange(40, 46), random_herd(6, 1)
+    ours = estimator(FLOCK, Sensor(0.05, 0.05, timeout=2.0))
+    seen = Watched(FLOCK, state, u, 60, 0.05).seen
+    lost, expected = [], None
+    for k, each in enumerate(seen):
+        rows = [0, 1, 3, 5] + [2] * (not 20 <= k < 35) + [4] * (k < 30)
+        before = ours._estimate
+        found = ours.update(
+            k * PERIOD, names[rows], HerdState(each.x[rows], each.v[rows], each.d), u
+        )
+        hidden = [row for row in (2, 4) if row not in rows and (row == 2 or k < 49)]
+        assert ours.ids[: len(rows)].tolist() == names[rows].tolist()
+        assert sorted(ours.ids[len(rows) :].tolist()) == names[hidden].tolist()
+        assert len(found.x) == len(rows) + len(hidden)
+        assert ours.carried == len(hidden)
+        if before is not None and hidden:
+            expected = ours._predicted(before, PERIOD, u).sheep
+            for name in names[hidden]:
+                there = expected.mean[expected.names == name][0]
+                np.testing.assert_allclose(found.x[ours.ids == name][0], there[0], rtol=1e-13)
+                np.testing.assert_allclose(found.v[ours.ids == name][0], there[1], rtol=1e-13)
+        lost += [(k, name) for name in ours.lost]
+    assert expected is not None
+    assert lost == [(49, 44)]
+
+
+def test_a_sheep_that_was_out_of_sight_is_where_it_was_going() -> None:
+    """It has run through a gap of 1 s in the middle, and is known at once when it is back."""
+    rng, u, errors = np.random.default_rng(2), np.zeros((1, 2)), []
+    crowd, n = replace(APART, friction=0.0), 200
+    x, v = rng.normal(0.0, 5.0, (n, 2)), rng.normal(0.0, 0.3, (n, 2))
+    ours = estimator(crowd, Sensor(0.05, timeout=3.0))
+    for k in range(70):
+        rows = np.arange(n // 2 if 40 <= k < 50 else n)
+        true = HerdState(x + k * PERIOD * v, v, np.full((1, 2), 99.0))
+        seen = blurred(true, rng)
+        found = ours.update(
+            k * PERIOD, rows, replace(seen, x=seen.x[rows], v=seen.v[rows]), u,
+            is_velocity_seen=np.full(len(rows), False),
+        )  # fmt: skip
+        errors.append(float(np.abs(found.x - true.x)[n // 2 :].mean()))
+    assert max(errors[40:50]) < 0.05  # of 0.3 m that a sheep runs meanwhile
+    assert max(errors[50:]) < 0.03
+
+
+def test_new_sheep_start_where_they_are_seen(random_herd: Callable[..., HerdState]) -> None:
     """Sheep that do not feel each other: who comes and goes changes nothing for the others."""
     seen = Watched(APART, random_herd(6, 1), np.zeros((1, 2)), 40, 0.05).seen
-    u, all_six, some = np.zeros((1, 2)), estimator(APART), estimator(APART)
+    sensor = Sensor(0.05, 0.05, timeout=0.15)
+    u, all_six, some = np.zeros((1, 2)), estimator(APART, sensor), estimator(APART, sensor)
     for k, each in enumerate(seen):
         names = np.arange(6) if k in (0, 39) else np.array([0, 1, 3, 4, 5] if k < 20 else [5, 1])
         one = all_six.update(k * PERIOD, np.arange(6), each, u)
         part = HerdState(each.x[names], each.v[names], each.d)
         other = some.update(k * PERIOD, names, part, u)
         always = [row for row, name in enumerate(names) if name in (1, 5)]
-        assert len(other.x) == len(names)
+        assert len(other.x) == len(names) + {1: 1, 20: 3, 40: 4}.get(
+            k, 0
+        )  # those just out of sight
         np.testing.assert_array_equal(other.x[always], one.x[names[always]])
         np.testing.assert_array_equal(other.v[always], one.v[names[always]])
         if k == 39:
@@ -449,7 +572,7 @@ def run_until(t: float) -> StateEstimator:
 
 @pytest.mark.parametrize(
     ('later', 'anew'),
-    [(0.1, False), (1.95, False), (2.1, True), (1e9, True), (0.0, False), (-0.1, True),
+    [(0.1, False), (9.95, False), (10.1, True), (1e9, True), (0.0, False), (-0.1, True),
      (-3.0, True), (math.nan, True)],
 )  # fmt: skip
 def test_time_that_goes_back_or_leaps_is_a_new_start(later: float, anew: bool) -> None:
@@ -594,6 +717,29 @@ def test_a_believed_flock_is_one_that_can_be() -> None:
     assert widths[2] > 1.2 * widths[0]
 
 
+@pytest.mark.parametrize('seed', [statistics(seed) for seed in (900, 901, 902)])
+def test_flock_comes_home_by_positions_alone(seed: int) -> None:
+    """About as soon as with velocities of the same noise."""
+    world = World(sheep=20, dogs=3, seed=seed, position_noise=0.05, velocity_noise=0.05)
+    crowd, control = Crowd(noise=0.02), Control(sensor=NOISY)
+
+    def time_home(is_velocity_seen: bool) -> float:
+        flags = np.full(20, is_velocity_seen)
+        pilot = LockstepPilot(RecedingHorizon(crowd, control, GOAL, seed), 3)
+
+        def policy(observed: HerdState, t: float) -> Array:
+            seen = replace(Observed.complete(t, observed), is_velocity_seen=flags)
+            command = pilot.decide(seen).command
+            assert command is not None
+            return command
+
+        run = play(Simulation(crowd, world, GOAL), policy, 100.0)
+        assert run.arrived
+        return float(run.t[-1])
+
+    assert time_home(False) < 1.25 * time_home(True)
+
+
 @pytest.mark.parametrize('seed', [0, *(statistics(seed) for seed in (1, 2))])
 def test_flock_comes_home_under_bad_sensors(seed: int) -> None:
     """About as soon as with exact ones; `study observation` has more, also without the filter."""
@@ -616,6 +762,7 @@ def test_flock_comes_home_under_bad_sensors(seed: int) -> None:
         ({'u': np.zeros((1, 2))}, r'names of dogs: expected shape \(2,\), .* got \(1,\)'),
         ({'u': np.zeros((2, 3))}, r'u must have shape \(any, 2\), got'),
         ({'u': np.full((2, 2), np.nan)}, 'u must be finite'),
+        ({'is_velocity_seen': np.full(4, True)}, r'velocity is seen: expected shape \(3,\)'),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(

@@ -721,6 +721,46 @@ def test_filter_that_fails_is_counted_and_the_observation_is_used_as_it_is(
     np.testing.assert_array_equal(field.pilot.estimate.state.x, seen(0.0).state.x)
 
 
+def test_the_filter_is_told_the_mean_of_the_commands_since_the_last_observation() -> None:
+    """Of which sensors of a low rate, as GPS, leave many."""
+    pilot, _ = lockstep()
+    told: list[Array] = []
+
+    def update(t: float, ids: Array, state: HerdState, u: Array, *_: object) -> HerdState:
+        told.append(u)
+        return state
+
+    pilot._estimator.update = update  # type: ignore[method-assign, assignment]
+    given = np.random.default_rng(0).normal(size=(4, 3, 2))
+    for commands in (given[:1], given[1:], []):
+        for u in commands:
+            pilot._decision(u, None)
+        pilot._observe(seen(0.1 * len(told)))
+    np.testing.assert_array_equal(told[0], given[0])
+    np.testing.assert_allclose(told[1], given[1:].mean(axis=0), rtol=1e-12)
+    np.testing.assert_array_equal(told[2], given[3])
+
+
+def test_sheep_out_of_sight_are_planned_for_until_they_are_lost_and_that_is_said() -> None:
+    pilot, planner = lockstep(Control(horizon=HORIZON, sensor=Sensor(0.01, timeout=1.0)))
+    said: list[tuple[float, str]] = []
+    for k in range(81):
+        decision = pilot.decide(seen(PERIOD * k, sheep=5 if k < 10 else 3))
+        said += [(k, event.text) for event in decision.events if 'out of sight' in event.text]
+        assert pilot.estimate_values()['sheep_out_of_sight'] == (2 if 10 <= k < 19 else 0)
+    assert [(k, words[:46]) for k, words in said] == [
+        (10, 'sheep out of sight are carried along by the mo'),
+        (19, 'sheep out of sight for 1 s are lost, the plans'),
+    ]
+    assert said[1][1].endswith(': 3, 4')
+    assert [len(state.x) for _, state in planner.solved] == [5, 3, 3, 3, 3]
+    later = pilot.decide(seen(PERIOD * 81 + 1.0, sheep=3))
+    assert [event.text for event in later.events] == [
+        'no observation for longer than sensor.timeout, 1 s: the filter starts afresh'
+    ]
+    assert not lockstep()[0].estimate_values()
+
+
 def test_sheep_may_come_and_go() -> None:
     field = Field().herding()
     for sheep in (1, 5, 3):

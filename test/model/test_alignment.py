@@ -179,5 +179,5 @@ def test_without_inertia_there_is_nothing_to_align() -> None:
         ValueError, match=r'alignment.rate must be 0 where Crowd.order is 1, got 2'
     ):
         Crowd(order=1, alignment=Alignment(2.0))
-    with pytest.raises(ValueError, match=r'Alignment.rate must be from 0 to 1e\+06, got -1'):
+    with pytest.raises(ValueError, match=r'Alignment.rate must be from 0 to 1e\+09, got -1'):
         Alignment(-1.0)

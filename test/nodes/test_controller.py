@@ -124,6 +124,27 @@ def test_lockstep_replies_with_the_plan_of_the_core_in_each_dogs_own_frame(
     assert len(late[0].points) == 40
 
 
+def test_positions_of_sheep_are_enough_where_their_noise_is_told(
+    start: Callable[..., Any], peer: Any, herd: HerdState
+) -> None:
+    start(
+        'controller', lockstep=True, dogs=2, goal='[1.0, 0.0]', sensor__position_noise=0.05,
+        **QUICK,
+    )  # fmt: skip
+    pasture = Pasture(peer, herd)
+    for k in range(3):
+        data = messages.cloud(herd.x, herd.v, k * 100_000_000, 'map')
+        cloud = deserialize_message(data, PointCloud2)
+        cloud.fields = [field for field in cloud.fields if not field.name.startswith('v')]
+        pasture.show(k * 100_000_000, cloud)
+        pasture.wait_for_commands(k + 1)
+    assert all(velocity(heard[2]).any() for heard in pasture.commands)
+    peer.spin_until(lambda: 'velocity_error_m_s' in pasture.said('controller: state'))
+    said = pasture.said('controller: state')
+    assert said['sheep_out_of_sight'] == '0'
+    assert 0.0 < float(said['velocity_error_m_s']) < float(said['position_error_m']) <= 0.05
+
+
 def test_dogs_without_influence_are_a_warning(
     start: Callable[..., Any], peer: Any, herd: HerdState
 ) -> None:

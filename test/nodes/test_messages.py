@@ -353,6 +353,35 @@ def test_sheep_out_of_sight_are_left_out_of_a_cloud_that_is_not_dense() -> None:
         assert sheep.x.tolist() == [[1.0, 0.0], [0.0, 0.0]]
 
 
+def test_who_can_do_without_velocities_reads_clouds_that_have_none() -> None:
+    fields = deserialize_message(cloud_with(), PointCloud2).fields
+    bare = cloud_with(fields=[field for field in fields if field.name not in ('vx', 'vy')])
+    sheep = messages.sheep_in(bare, 'map', 3, needs_velocities=False)
+    assert np.array_equal(sheep.x, np.eye(3)[:, :2])
+    assert not sheep.v.any()
+    assert not sheep.is_velocity_seen.any()
+    with pytest.raises(Refused, match=r'a field vx of .* or sensor\.position_noise be set'):
+        messages.sheep_in(bare, 'map', 3)
+    half = cloud_with(fields=[field for field in fields if field.name != 'vx'])
+    with pytest.raises(Refused, match='a field vx'):
+        messages.sheep_in(half, 'map', 3, needs_velocities=False)
+
+
+def test_a_sheep_whose_velocity_is_not_known_is_seen_by_who_can_do_without() -> None:
+    points = deserialize_message(cloud_with(), PointCloud2).data
+    points[28 + 16 : 28 + 20] = array.array('B', number(math.nan))  # vx of the second
+    points[56 + 4 : 56 + 8] = array.array('B', number(math.nan))  # x of the third
+    cloud = cloud_with(is_dense=False, data=points)
+    sheep = messages.sheep_in(cloud, 'map', 3, needs_velocities=False)
+    assert sheep.ids.tolist() == [0, 1]
+    assert sheep.is_velocity_seen.tolist() == [True, False]
+    assert not sheep.v.any()
+    assert messages.sheep_in(cloud, 'map', 3).ids.tolist() == [0]
+    for needs_velocities in (True, False):
+        with pytest.raises(Refused, match='is_dense: true'):
+            messages.sheep_in(cloud_with(data=points), 'map', 3, needs_velocities)
+
+
 def test_far_from_the_origin_sheep_need_double_precision() -> None:
     """UTM has coordinates of 5,500 km, which single precision resolves to half a metre."""
     x = np.array([[412_345.678, 5_500_123.456], [412_346.789, 5_500_124.321]])

@@ -29,6 +29,7 @@ _ROUNDING = 0.1
 """By how much the squared length of a quaternion may differ from 1."""
 
 _COLUMNS = ('x', 'y', 'vx', 'vy')
+"""What is read of a sheep besides its id."""
 
 _LARGEST_SINGLE = 1e6
 """Single precision resolves 6 cm there [m]: farther out it would not see a sheep move."""
@@ -38,20 +39,25 @@ _MOST_FIELDS = 64
 
 
 class Sheep(NamedTuple):
-    """The flock at ns: ids (N,), increasing, positions x (N, 2) [m], velocities v [m/s]."""
+    """The flock at ns: ids (N,), increasing, positions x (N, 2) [m], velocities v [m/s].
+
+    is_velocity_seen: (N,); where it is false v is 0.
+    """
 
     ns: int
     ids: NDArray[np.uint32]
     x: Array
     v: Array
+    is_velocity_seen: NDArray[np.bool_]
 
 
-def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
+def sheep_in(data: bytes, frame: str, most: int, needs_velocities: bool = True) -> Sheep:
     """Sheep in a PointCloud2, sorted by id; more than `most` are refused unseen.
 
-    Fields x, y, vx, vy must be there as floats, in any order and with any others. An integer
-    field id identifies the sheep; without it their order does. In a cloud that says that it is
-    not dense, points that are not finite are sheep out of sight: they are left out.
+    Fields x, y, vx, vy must be there as floats, in any order and with any others; vx and vy only
+    if `needs_velocities`. An integer field id identifies the sheep; without it their order does.
+    In a cloud that says that it is not dense, points that are not finite are sheep out of sight:
+    they are left out. Where only the velocity is not finite, and need not be, it is not seen.
     """
     reader = Reader(data)
     ns, given = reader.header()
@@ -61,37 +67,43 @@ def sheep_in(data: bytes, frame: str, most: int) -> Sheep:
         sheep = points(cloud)
     except ValueError as error:
         raise Refused('malformed', str(error)) from None
-    values: Array = np.empty((len(sheep), 4))
+    names: tuple[str, ...] = _COLUMNS
+    if not needs_velocities and not {'vx', 'vy'} & set(sheep.dtype.names or ()):
+        names = _COLUMNS[:2]
+    values: Array = np.full((len(sheep), 4), np.nan)
     with np.errstate(invalid='ignore'):  # converting some NaN warns on stderr
-        for i, name in enumerate(_COLUMNS):
+        for i, name in enumerate(names):
             values[:, i] = _column(sheep, name, 'f', 'FLOAT32 or FLOAT64')
     ids: NDArray[np.uint32] = np.arange(len(sheep), dtype=np.uint32)
     if 'id' in (sheep.dtype.names or ()):
         ids = _column(sheep, 'id', 'iu', 'integer').astype(np.uint32)
-    in_sight = np.isfinite(values).all(axis=1)
+    is_finite = np.isfinite(values)
+    if cloud.is_dense and not is_finite[:, : len(names)].all():
+        raise Refused(
+            'not finite',
+            'sheep must be finite in a cloud with is_dense: true, got NaN or infinite values; '
+            'with false it may have sheep out of sight',
+        )
+    in_sight = is_finite[:, : 4 if needs_velocities else 2].all(axis=1)
+    if not in_sight.any():
+        raise Refused('empty', 'at least one sheep must be in sight, got no finite point')
+    is_velocity_seen: NDArray[np.bool_] = np.all(is_finite[:, 2:], axis=1)
+    values[~is_velocity_seen, 2:] = 0.0
     if not in_sight.all():
-        if cloud.is_dense:
-            raise Refused(
-                'not finite',
-                'sheep must be finite in a cloud with is_dense: true, got NaN or infinite values; '
-                'with false it may have sheep out of sight',
-            )
-        if not in_sight.any():
-            raise Refused('empty', 'at least one sheep must be in sight, got no finite point')
-        ids, values = ids[in_sight], values[in_sight]
+        ids, values, is_velocity_seen = ids[in_sight], values[in_sight], is_velocity_seen[in_sight]
     check_size('sheep positions and velocities', float(values.min()), float(values.max()))
-    _check_resolution(sheep.dtype, values)
+    _check_resolution(sheep.dtype, names, values)
     if not (ids[1:] > ids[:-1]).all():
         order = np.argsort(ids)
-        ids, values = ids[order], values[order]
+        ids, values, is_velocity_seen = ids[order], values[order], is_velocity_seen[order]
         if (ids[1:] == ids[:-1]).any():
             raise Refused('duplicate ids', 'two sheep have the same id; each needs its own')
-    return Sheep(ns, ids, values[:, :2], values[:, 2:])
+    return Sheep(ns, ids, values[:, :2], values[:, 2:], is_velocity_seen)
 
 
-def _check_resolution(dtype: np.dtype[np.void], values: Array) -> None:
+def _check_resolution(dtype: np.dtype[np.void], names: tuple[str, ...], values: Array) -> None:
     """Refuse numbers in single precision where that would not see a sheep move."""
-    is_single = [dtype[name].itemsize == 4 for name in _COLUMNS]
+    is_single = [i for i, name in enumerate(names) if dtype[name].itemsize == 4]
     size = float(np.abs(values[:, is_single]).max(initial=0.0))
     if size > _LARGEST_SINGLE:
         raise Refused(
@@ -103,7 +115,10 @@ def _check_resolution(dtype: np.dtype[np.void], values: Array) -> None:
 
 def _column(sheep: NDArray[np.void], name: str, kinds: str, allowed: str) -> NDArray[np.generic]:
     if name not in (sheep.dtype.names or ()):
-        raise Refused('wrong fields', f'sheep must have a field {name} of type {allowed}', name)
+        remedy = ', or sensor.position_noise be set' if name in _COLUMNS[2:] else ''
+        raise Refused(
+            'wrong fields', f'sheep must have a field {name} of type {allowed}{remedy}', name
+        )
     if sheep.dtype[name].kind not in kinds:
         reason = f'field {name} must be of type {allowed}, got {sheep.dtype[name]}'
         raise Refused('wrong fields', reason, name)
