@@ -418,12 +418,12 @@ def test_only_fields_and_functions_stand_for_a_field(field: object) -> None:
     ('values', 'named'),
     [
         ({'gust': 1.1}, 'gust must be from 0 to 1, got 1.1'),
-        ({'period': 0.0}, r'period must be from 1e-09 to 1e\+06, got 0.0'),
-        ({'patch': -1.5}, r'patch must be from -1 to 1e\+06, got -1.5'),
-        ({'patch_radius': 0.0}, r'patch_radius must be from 1e-09 to 1e\+06, got 0.0'),
+        ({'period': 0.0}, r'period must be from 1e-09 to 1e\+09, got 0.0'),
+        ({'patch': -1.5}, r'patch must be from -1 to 1e\+09, got -1.5'),
+        ({'patch_radius': 0.0}, r'patch_radius must be from 1e-09 to 1e\+09, got 0.0'),
         (
             {'slope': (1.0, math.inf)},
-            r'slope must be 2 numbers from -1e\+06 to 1e\+06, got \(1.0, inf\)',
+            r'slope must be 2 numbers from -1e\+09 to 1e\+09, got \(1.0, inf\)',
         ),
     ],
 )

@@ -33,6 +33,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 QUICK = {'horizon__length': 4.0, 'horizon__accepted': 2.0, 'mapping__paths': 20}
+AS_PLANNED = {**QUICK, 'bodies__ramp': 0.0}
 CONTROL = Control(horizon=Horizon(length=4.0, accepted=2.0), mapping=Mapping(paths=20))
 
 
@@ -98,7 +99,7 @@ def herd() -> HerdState:
 def test_lockstep_replies_with_the_plan_of_the_core_in_each_dogs_own_frame(
     start: Callable[..., Any], peer: Any, herd: HerdState
 ) -> None:
-    start('controller', lockstep=True, dogs=2, seed=7, goal='[1.0, 0.0]', **QUICK)
+    start('controller', lockstep=True, dogs=2, seed=7, goal='[1.0, 0.0]', **AS_PLANNED)
     pasture = Pasture(peer, herd)
     planner = RecedingHorizon(Crowd(), CONTROL, np.array([1.0, 0.0]), seed=7)
     plan = planner.solve(herd, 0.0).plan
@@ -160,7 +161,7 @@ def test_dogs_without_influence_are_a_warning(
 def test_moved_goal_and_dynamic_parameters_reach_the_planner(
     start: Callable[..., Any], peer: Any, herd: HerdState
 ) -> None:
-    process = start('controller', lockstep=True, dogs=2, seed=7, goal='[1.0, 0.0]', **QUICK)
+    process = start('controller', lockstep=True, dogs=2, seed=7, goal='[1.0, 0.0]', **AS_PLANNED)
     pasture = Pasture(peer, herd)
     goals = peer.talk_to(PoseStamped, 'goal_pose')
     planner = RecedingHorizon(Crowd(), CONTROL, np.array([1.0, 0.0]), seed=7)

@@ -266,6 +266,7 @@ def test_each_plan_begins_exactly_at_its_window(start: Callable[..., Any], peer:
     short = {'horizon__length': 4.0, 'horizon__accepted': 2.0, 'lead': 1.6}
     short['horizon__feedback'] = 2.0  # none
     short['state_timeout'] = SLACK
+    short |= {'bodies__separation': 0.0, 'bodies__ramp': 0.0}  # commands as planned
     start('sim', **{**SIM, 'stop_on_arrival': False, 'real_time_factor': 1.0})
     start('controller', **{**CONTROLLER, **short})
     meadow.run_until(lambda: meadow.now() > 14.0)

@@ -7,6 +7,7 @@ from functools import partial
 
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
+from herding_ros.control.drift import Drift
 from herding_ros.control.errands import Errands
 from herding_ros.control.objective import Objective
 from herding_ros.control.parameters import Control, Horizon, Mapping
@@ -18,6 +19,7 @@ from herding_ros.control.rules.target_selection import TargetSelection
 from herding_ros.control.solution import Status
 from herding_ros.control.task import RULES, Task
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.flock import centre
 from herding_ros.model.state import HerdState
 import numpy as np
 import pytest
@@ -38,7 +40,7 @@ def herd(seed: int, sheep: int = 9, dogs: int = 3, away: float = 1.0) -> HerdSta
 @pytest.mark.parametrize('seed', range(6))
 def test_no_rule_costs_less_than_the_plan(seed: int) -> None:
     """Judged on the finest time grid of the window, and on the control's own of a feedback."""
-    state = herd(seed)
+    state, drift = herd(seed), Drift()
     planner = RecedingHorizon(Crowd(), CONTROL, GOAL)
     for look in (partial(planner.solve, state, 0.0), partial(planner.improve, herd(99), 1.0)):
         rule = next(iter(RULES))
@@ -49,7 +51,8 @@ def test_no_rule_costs_less_than_the_plan(seed: int) -> None:
         model = coarse.on_grid(coarse.substeps if window.report.kind == 'window' else 1)
         times = model.dt * np.arange(len(window.centre))
         task = Task.of(CONTROL, coarse, GOAL)
-        objective = Objective([*task.costs(times), ControlEffort(CONTROL.weights.control)])
+        costs = task.costs(times, drift.path(Crowd(), times))
+        objective = Objective([*costs, ControlEffort(CONTROL.weights.control)])
         names = RULES if window.report.kind == 'window' else [rule]
         plans = task.rule_plans(coarse.on_grid(1), list(names))
         assert set(plans) == set(names)
@@ -57,6 +60,8 @@ def test_no_rule_costs_less_than_the_plan(seed: int) -> None:
         assert window.report.objective == pytest.approx(found, rel=1e-12)
         for u in plans.values():
             assert found <= model.value_and_gradient(objective, u)[0]
+        error = centre(herd(99).x) - window.centre[window.index(1.0)]
+        drift.learn(Crowd(), error, 1.0, CONTROL.horizon.accepted, CONTROL.max_speed)
 
 
 @pytest.mark.parametrize('rule', RULES.values(), ids=RULES)
