@@ -18,7 +18,7 @@ from herding_ros.model.state import Array
 import numpy as np
 
 _MOST = 0.2
-"""Part of the way of a dog that an error counts as at most."""
+"""Part of the way of a dog that an error may be to be taken for a drift."""
 
 
 @dataclass
@@ -37,12 +37,11 @@ class Drift:
         """Learn from how far the centre is off its prediction (2,) [m], made `elapsed` [s] ago.
 
         The acceleration is the mean of what explains the errors, older ones fading over `memory`
-        [s]. So that a gust, which does not last, is not taken for a wind, an error counts as at
-        most a fifth of the way that a dog runs meanwhile at max_speed [m/s].
+        [s]. An error of more than a fifth of the way that a dog runs meanwhile at max_speed [m/s]
+        is no drift: it does not last, as a gust, or comes and goes with what the dogs do.
         """
-        most, length = _MOST * max_speed * elapsed, float(np.linalg.norm(error))
-        if length > most:
-            error = error * (most / length)
+        if float(np.linalg.norm(error)) > _MOST * max_speed * elapsed:
+            return
         gain = -math.expm1(-elapsed / memory)
         unit = float(displacement(crowd, np.array([elapsed]))[0])
         self.acceleration = self.acceleration + gain / unit * error
