@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from herding_ros.model.bodies import closest
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -93,5 +94,4 @@ def keeps_distances(control: Control) -> bool:
 
 
 def _are_too_near(d: Array, bodies: Bodies) -> bool:
-    apart = np.linalg.norm(d[:, None] - d[None], axis=2) + np.diag(np.full(len(d), np.inf))
-    return bool((apart < bodies.separation - bodies.margin).any())
+    return closest(d[None]) < bodies.separation - bodies.margin

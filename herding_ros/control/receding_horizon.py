@@ -77,11 +77,13 @@ class _Planned:
 class _Coarse:
     """What the coarse solve has found, on the finest time grid.
 
-    predicted: under it; costs: control effort apart; fetches: whether dogs have strays to fetch.
+    predicted: under it; drifted: what the drift adds to the centre (K+1, 2) [m]; costs: control
+    effort apart; fetches: whether dogs have strays to fetch.
     """
 
     solution: Solution
     predicted: Trajectory
+    drifted: Array
     costs: list[Cost]
     fetches: bool
 
@@ -190,8 +192,7 @@ class RecedingHorizon:
             predicted = coarse.rollout(mapping.u)
         plan = Plan(t, horizon.control_period, mapping.u)
         defect = mapping.output - centre(predicted.x)
-        times = horizon.dt * np.arange(len(defect), dtype=np.float64)
-        expected_centre = mapping.output + self._drift.path(self.crowd, times)
+        expected_centre = mapping.output + found.drifted
         # It may be planned ahead: until it starts, what was planned before is played.
         played = [each for each in self._planned if each.plan.end > t + SLACK]
         by_period = slice(None, None, horizon.substeps)
@@ -233,8 +234,7 @@ class RecedingHorizon:
                 expected.append(self._expectation(state, t)(solution.u))
             defect = expected[0].centre[:: horizon.substeps] - centre(predicted.x)
         output = centre(predicted.x) + defect
-        times = horizon.control_period * np.arange(len(defect), dtype=np.float64)
-        expected_centre = output + self._drift.path(self.crowd, times)
+        expected_centre = output + found.drifted
         plan = Plan(t, horizon.control_period, solution.u)
         waiting = [each for each in self._planned if each.plan.t0 > t + SLACK]
         planned = _Planned(plan, len(state.x), expected_centre, defect)
@@ -288,8 +288,8 @@ class RecedingHorizon:
         for substeps in sorted({1, coarse.substeps}):
             model = coarse.on_grid(substeps)
             times = model.dt * np.arange(horizon.intervals * substeps + 1, dtype=np.float64)
-            off = defect + self._drift.path(self.crowd, times)
-            costs = [*task.costs(times, off), *self.costs]
+            drifted = self._drift.path(self.crowd, times)
+            costs = [*task.costs(times, defect + drifted), *self.costs]
             objective = Objective([*costs, control_effort])
             value = partial(_value, model, objective, self._admissible)
             values = {name: value(u) for name, u in candidates.items()}
@@ -317,7 +317,7 @@ class RecedingHorizon:
         if not hurried and self._is_without_influence(coarse, predicted, task):
             solution = replace(solution, status=Status.NO_INFLUENCE)
         fetches = task.errands is not None and len(task.errands.dogs) > 0
-        return _Coarse(solution, predicted, costs, fetches)
+        return _Coarse(solution, predicted, drifted, costs, fetches)
 
     def _played_on(self, t: float, dogs: int) -> Array:
         """Return the control (intervals, M, 2) of the plan that is played at t [s], continued."""

@@ -53,8 +53,6 @@ class Filter:
         """Lay the recording out for the kernels."""
         if not step > 0.0:
             raise ValueError(f'step must be above 0, got {step:g}')
-        if not step > 0.0:
-            raise ValueError(f'step must be above 0, got {step:g}')
         self._leads = _in_observations(recording, leads)
         self.longest_lead = int(self._leads[-1])
         # Predictions that begin at neighbouring instants say nearly the same.
