@@ -17,6 +17,7 @@ from . import (
     evacuation,
     mean_field,
     observation,
+    real,
     sampling,
     stabilisation,
     stochasticity,
@@ -42,6 +43,7 @@ FURTHER: dict[str, Study] = {
     'mean_field': mean_field,
     'sampling': sampling,
     'strangers': strangers,
+    'real': real,
 }
 """Studies of what the paper does not show, each with its own page."""
 
