@@ -147,6 +147,7 @@ def draw(results: Results, figures: Path) -> Section:
         'seeds': results.of('real_herding').seeds,
         'speed': f'{MAX_SPEED:g}',
         'cross': _table(cross),
+        'cross_gain': _gains(cross),
         'held': _table(held),
         'gain': _gains(held),
         'crowds': _crowds(final),
