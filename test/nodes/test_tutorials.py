@@ -56,6 +56,16 @@ def test_robots_of_ones_own(
     peer.spin_until(lambda: any(command.linear.x for command in commands))
 
 
+def test_a_goal_while_it_runs(tmp_path: Path, start: Callable[..., Any]) -> None:
+    (program,) = blocks('running.md', 'python')
+    path = tmp_path / 'goal.py'
+    path.write_text(program, encoding='utf-8')
+    start('sim', sheep=2, dogs=1)
+    controller = start('controller', dogs=1)
+    assert start('goal', program=path).wait() == 0
+    controller.wait_for('the destination is now (1, 0.2)')
+
+
 def test_a_tracker_of_ones_own(tmp_path: Path, start: Callable[..., Any], peer: Any) -> None:
     (program,) = blocks('tutorial_robots.md', 'python')
     path = tmp_path / 'tracker.py'
