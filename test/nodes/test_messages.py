@@ -684,7 +684,7 @@ def test_a_dog_that_has_to_turn_is_told_speed_and_turn_rate() -> None:
     ):
         assert messages.turned(found, -math.pi / 2) == pytest.approx((0.03, 0.02))
     quick = serialize_message(Twist(angular=Vector3(z=1.0)))
-    with pytest.raises(Refused, match='at most 0.05 m/s at the point that is steered, got 0.1'):
+    with pytest.raises(Refused, match=r'at most 0\.05 m/s at the point that is steered, got 0\.1'):
         messages.twist_in(quick, SPEED, 0.1)
     assert not messages.twist_in(quick, SPEED).any()
 
