@@ -12,6 +12,7 @@ import numpy as np
 from . import kernels
 from .crowd import Crowd, CROWDS
 from .dynamics import physics, reverse_sweep, rollout, to_lanes
+from .errand_kernels import detours, middle
 from .linear_algebra import advance, hessian_times, smoothed, times, transposed_times
 from .motion import Holonomic, MotionModel, MOTIONS
 from .particle_mesh import ParticleMesh
@@ -62,6 +63,8 @@ def warm_up(crowd: Crowd | None = None, motion: MotionModel = Holonomic()) -> fl
     apart, one, two = np.ones((1, 2, 2)), np.ones(1), np.ones((1, 2))
     nearest(two, pair, alone, apart, one, one, two, np.inf, 1, 1.0)
     spacing(d, 1.0, 1.0, np.zeros_like(d))
+    middle(np.ones((1, 2)), np.empty(2))
+    detours(np.ones((1, 2)), np.ones((1, 2)), 1.0, np.empty(1), np.ones((1, 2)), np.ones((1, 2)))
     reverse_sweep(crowd, trajectory, source)
     motion.project(u, 1.0)
     ds = motion.rollout(_started(motion).d, u, 0.01, 1)
