@@ -99,6 +99,7 @@ def test_the_version_is_that_of_the_manifest() -> None:
     version = manifest.findtext('version')
     assert version == herding_ros.__version__
     assert f'\nversion: {version}\n' in (ROOT / 'CITATION.cff').read_text('utf-8')
+    assert f'\n{version} (' in (ROOT / 'CHANGELOG.rst').read_text('utf-8')
     assert f'version = {{{version}}}' in (ROOT / 'doc' / 'cite.md').read_text('utf-8')
 
 
