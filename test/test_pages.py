@@ -12,6 +12,7 @@ import importlib
 from pathlib import Path
 import re
 from typing import Any
+from xml.etree import ElementTree
 
 from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.model.crowd import Crowd, CROWDS
@@ -180,6 +181,31 @@ def test_the_files_that_a_page_names_exist(page: Path) -> None:
         assert (PACKAGE / name).exists(), f'{page.name} names {name}'
     for name in re.findall(r'`((?:config|test|scripts|benchmark|launch)/[\w/]*(?:\.\w+)?)`', text):
         assert (ROOT / name).exists(), f'{page.name} names {name}'
+
+
+def test_the_topics_and_services_are_those_of_the_nodes() -> None:
+    """By config/sros2_policy.xml, which another test compares with live nodes."""
+    policy = ElementTree.parse(ROOT / 'config' / 'sros2_policy.xml').iter()
+    there: dict[str, set[str]] = {'topic': set(), 'service': set()}
+    node = ''
+    for each in policy:
+        node = each.get('node', node)
+        if each.tag in there:
+            name = str(each.text).replace('~', node).replace('*', '<i>')
+            there[each.tag].add(name)
+    there['topic'] -= {'<i>', '/parameter_events', '/rosout'}
+    there['service'] = {name for name in there['service'] if 'parameter' not in name}
+    text = (ROOT / 'doc' / 'interface.md').read_text(encoding='utf-8')
+    topics, services = (
+        {
+            name
+            for row in re.findall(r'^\| (`.*?`) \|', part, re.M)
+            for name in row[1:-1].split('`, `')
+        }
+        for part in re.split(r'^## (?:Services|Diagnostics)$', text, flags=re.M)[:2]
+    )
+    assert topics == there['topic']
+    assert services == {name for name in there['service'] if 'description' not in name}
 
 
 def test_each_file_is_on_the_map() -> None:

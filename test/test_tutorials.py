@@ -23,6 +23,16 @@ def printed_by(program: str, path: Path, capsys: pytest.CaptureFixture[str]) -> 
     return capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_the_readme(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (program,) = blocks('../README.md', 'python')
+    arrived, time, distance, plans = printed_by(program, tmp_path / 'it.py', capsys).split()
+    assert arrived == 'True'
+    assert 70.0 < float(time) < 90.0
+    assert float(distance) < 0.05
+    assert abs(int(plans) - float(time)) < 5.0
+
+
 def test_five_minutes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (program,) = blocks('start.md', 'python')
     assert printed_by(program, tmp_path / 'first.py', capsys).startswith('True ')
