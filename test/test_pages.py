@@ -133,6 +133,29 @@ def test_the_parameter_tables_are_those_of_the_code() -> None:
     )
 
 
+def test_each_page_is_in_the_navigation_and_within_two_clicks() -> None:
+    """Of the site, where doc/index.md is its home, and of the README."""
+    index = (ROOT / 'doc' / 'index.md').read_text(encoding='utf-8')
+    found = re.findall(r'```\{toctree\}\n(?::.*\n)*\n([^`]*)```', index)
+    named = {line.rpartition('<')[2].rstrip('>') for tree in found for line in tree.split('\n')}
+    pages = {path.stem for path in (ROOT / 'doc').glob('*.md')}
+    assert named - {''} == pages - {'index'}, 'doc/index.md must name each page once'
+    linked = {README}
+    for _ in range(2):
+        linked |= {
+            (page.parent / file).resolve()
+            for page in linked
+            for file, _ in links(page.read_text(encoding='utf-8'))
+            if file.endswith('.md')
+        }
+    lost = pages - {path.stem for path in linked} - ONLY_ON_THE_SITE
+    assert not lost, f'no page that the README links to links to {lost}'
+
+
+ONLY_ON_THE_SITE = {'index', 'contributing', 'changelog'}
+"""Pages that show what stands elsewhere."""
+
+
 def test_the_readme_is_short() -> None:
     assert len(README.read_text(encoding='utf-8').splitlines()) <= 150
 
