@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from herding_ros.model.bodies import closest
+from herding_ros.model.field import Field, NO_FIELD
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -41,11 +42,18 @@ class CommandFilter:
         self._places = np.full((dogs, 2), np.nan)
 
     def filtered(
-        self, asked: Array, last: Array, state: HerdState, dogs: tuple[int, ...], control: Control
+        self,
+        asked: Array,
+        last: Array,
+        state: HerdState,
+        dogs: tuple[int, ...],
+        control: Control,
+        field: Field = NO_FIELD,
     ) -> FilteredCommand:
         """Return what to command for `asked` (M, 2), after `last` (M, 2) [m/s].
 
-        state: of the sheep and of the dogs that are seen; dogs: these, by their indices.
+        state: of the sheep and of the dogs that are seen; dogs: these, by their indices; field:
+        that they are in.
         """
         bodies, seen = control.bodies, list(dogs)
         if not isinstance(control.motion, Holonomic):
@@ -53,23 +61,29 @@ class CommandFilter:
         self._places[seen] = state.dogs
         hidden = np.delete(self._places, seen, axis=0)
         hidden = hidden[np.isfinite(hidden[:, 0])]
-        keeps = keeps_distances(control)
+        keeps = keeps_distances(control, field)
         wanted = u = asked[seen]
         if keeps:
-            u = _apart(wanted, state, hidden, control, bodies.margin)
+            u = _apart(wanted, state, hidden, control, field, bodies.margin)
         changed = u is not wanted
         if bodies.ramp:
             most = control.max_speed * control.horizon.control_period / bodies.ramp
             u = last[seen] + control.motion.project(u - last[seen], most)
         if keeps:
-            u = _apart(u, state, hidden, control, 0.0, part=not bodies.ramp)
+            u = _apart(u, state, hidden, control, field, 0.0, part=not bodies.ramp)
         command = asked.copy()
         command[seen] = u
         return FilteredCommand(command, changed, keeps and _are_too_near(state.dogs, bodies))
 
 
 def _apart(
-    u: Array, state: HerdState, hidden: Array, control: Control, margin: float, part: bool = True
+    u: Array,
+    state: HerdState,
+    hidden: Array,
+    control: Control,
+    field: Field,
+    margin: float,
+    part: bool = True,
 ) -> Array:
     """Return the nearest commands that keep the distances and a margin [m]; u itself if it does.
 
@@ -85,12 +99,18 @@ def _apart(
     if bodies.sheep_distance:
         from_sheep = bodies.sheep_distance + margin
         planes = planes.and_also(HalfPlanes.around(state.x, d, from_sheep, reach))
+    if len(field.bars):
+        gaps, normals = field.away(d)
+        gaps -= bodies.wall_distance + margin
+        dogs, walls = np.nonzero(gaps < reach)
+        planes = planes.and_also(HalfPlanes(dogs, normals[dogs, walls], gaps[dogs, walls]))
     return kept_apart(d, u, distance, gain, control.max_speed, planes, part)
 
 
-def keeps_distances(control: Control) -> bool:
-    """Return whether commands are to keep dogs from each other or from sheep."""
-    return control.bodies.separation > 0.0 or control.bodies.sheep_distance > 0.0
+def keeps_distances(control: Control, field: Field = NO_FIELD) -> bool:
+    """Return whether commands are to keep dogs from each other, from sheep or from walls."""
+    bodies = control.bodies
+    return bodies.separation > 0.0 or bodies.sheep_distance > 0.0 or len(field.bars) > 0
 
 
 def _are_too_near(d: Array, bodies: Bodies) -> bool:
