@@ -9,10 +9,10 @@ import numpy as np
 _TINY = 1e-12
 
 
-def detour(start: Array, end: Array, radius: float) -> tuple[Array, Array, Array]:
+def detour(start: Array, end: Array, radius: Array | float) -> tuple[Array, Array, Array]:
     """Return the lengths (...) [m] of the shortest ways round a disc, and their gradients.
 
-    start, end: (..., 2) [m], relative to the disc's centre; radius [m]. The gradients (..., 2)
+    start, end: (..., 2) [m], relative to the disc's centre; radius [m], one or (...). The gradients (..., 2)
     are with respect to start and end: minus the unit vector of the direction in which a way sets
     out, and plus that in which it arrives. Where the straight line misses the disc it is the way;
     else the way is a tangent, an arc and a tangent:

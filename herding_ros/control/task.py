@@ -70,7 +70,7 @@ class Task:
         speed = pace(crowd, reach, state, aim, control.max_speed) if attainable else 0.0
         errands, weight = None, control.weights.spread
         if reach is not None and reach.repels and control.weights.beyond:
-            errands = Errands.of(reach, state, aim)
+            errands = Errands.of(reach, state, aim, ways)
             here = state.x[errands.together]
             weight *= _growth(crowd, here, reach.standoff, control.horizon.length)
         return cls(control, goal, centre(state.x), weight, speed, reach, errands, ways)

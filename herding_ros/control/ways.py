@@ -100,6 +100,37 @@ class Corners:
             middle = corners[passed[::-1]]
         return np.concatenate([ends[0], middle, ends[1][::-1]])
 
+    def first_turns(self, points: Array, end: Array) -> tuple[Array, Array]:
+        """Return where shortest ways from points (n, 2) to an end turn first, and what is left.
+
+        Where walls hide no way that is the end itself, and nothing [m]. The clearance is kept from
+        the first corner on: who is nearer to a wall can get there. NaN where there is no way.
+        """
+        hidden = self._hidden(points, end[None])[:, 0]
+        turns, rest = np.tile(end, (len(points), 1)), np.zeros(len(points))
+        if hidden.any():
+            corners, lengths, _ = self._graph
+            last = np.where(
+                self._hidden(corners, end[None])[:, 0],
+                np.inf,
+                np.linalg.norm(corners - end, axis=1),
+            )
+            left = (lengths + last).min(axis=1)
+            away = np.linalg.norm(points[hidden, None] - corners, axis=2)
+            total = np.where(self._hidden(points[hidden], corners), np.inf, away) + left
+            best = total.argmin(axis=1)
+            found = np.isfinite(total.min(axis=1))
+            turns[hidden] = np.where(found[:, None], corners[best], np.nan)
+            rest[hidden] = np.where(found, left[best], np.nan)
+        return turns, rest
+
+    def _hidden(self, a: Array, b: Array) -> NDArray[np.bool_]:
+        """Return whether a wall hides each of b (m, 2) from each of a (n, 2)."""
+        import shapely
+
+        lines = np.stack(np.broadcast_arrays(a[:, None], b[None]), axis=2)
+        return np.asarray(shapely.intersects(self.field.walls, shapely.linestrings(lines)))
+
     def _freed(self, point: Array) -> Array | None:
         """Return the way (1 or 2, 2) from a point to where the walls are far enough, or None."""
         import shapely
@@ -213,17 +244,21 @@ class Ways:
                 out += lacking[:, None] * away[:, bar]
         return out
 
+    def round_walls(self, x: Array, place: Array) -> tuple[Array, Array]:
+        """Return where sheep at x (n, 2) are led first on their ways to a place, and the rest.
+
+        NaN, and no rest [m], where no wall is before them, or no way leads round it.
+        """
+        turns, rest = corners(self.field, self.clearance).first_turns(x, place)
+        return np.where(rest[:, None] > 0.0, turns, np.nan), np.where(rest > 0.0, rest, 0.0)
+
     def steps(self, d: Array, posts: Array) -> Array:
         """Return where dogs at d (M, 2) [m] go first on their ways to posts (M, 2).
 
         That is the post itself, unless a wall is between.
         """
-        import shapely
-
-        out = np.array(posts)
-        lines = shapely.linestrings(np.stack([d, posts], axis=1))
-        for m in np.flatnonzero(shapely.intersects(self.field.walls, lines)):
-            way = corners(self.field, self.clearance).way(d[m], posts[m])
-            if way is not None:
-                out[m] = way[1]
-        return out
+        found = [
+            corners(self.field, self.clearance).first_turns(dog[None], post)[0][0]
+            for dog, post in zip(d, posts, strict=True)
+        ]
+        return np.where(np.isnan(found), posts, found)

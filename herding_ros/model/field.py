@@ -130,7 +130,7 @@ class Field:
         inside = self.region.centroid
         if not self.region.contains(inside):
             inside = self.region.representative_point()
-        return np.array([inside.x, inside.y])
+        return np.round([inside.x, inside.y], 9) + 0.0  # no -0
 
     def kernel_form(self) -> ExternalForm:
         """Return the force of the walls in compiled code."""

@@ -49,7 +49,7 @@ def rule_plan(
     for first in range(0, intervals, held):
         count = min(held, intervals - first)
         aim = goal if ways is None else ways.aim(state.x)
-        errands = Errands.of(reach, state, aim)
+        errands = Errands.of(reach, state, aim, ways)
         place = errands.place(state.x)
         posts = rule.posts(state, errands, aim)
         if ways is not None:
