@@ -74,7 +74,8 @@ class Errands:
             around = float(np.linalg.norm(x[together] - place, axis=1).max())
         strays = np.flatnonzero(~together)
         around += _CLEARANCE * reach.reach
-        via, rest = np.full((len(strays), 2), np.nan), np.zeros(len(strays))
+        via: Array = np.full((len(strays), 2), np.nan)
+        rest: Array = np.zeros(len(strays))
         if ways is not None and len(strays):
             via, rest = ways.round_walls(x[strays], place)
         posts = behind_each(x[strays], np.where(np.isnan(via), place, via), reach.standoff)
@@ -96,11 +97,12 @@ class Errands:
 
 def _middle(x: Array) -> Array:
     """Return the middle (2,) of most sheep: of the half that is nearest to the centre, twice."""
-    middle = centre(x)
-    for _ in range(2):
-        off = np.linalg.norm(x - middle, axis=1)
-        middle = centre(x[off <= np.median(off)])
-    return middle
+    # A program's help needs no Numba.
+    from herding_ros.model.errand_kernels import middle
+
+    out = np.empty(2)
+    middle(np.ascontiguousarray(x), out)
+    return out
 
 
 def behind_each(x: Array, place: Array, standoff: float) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from . import kernels
 from .crowd import Crowd, CROWDS
 from .dynamics import physics, reverse_sweep, rollout, to_lanes
+from .errand_kernels import detours, middle
 from .linear_algebra import advance, hessian_times, smoothed, times, transposed_times
 from .motion import Holonomic
 from .particle_mesh import ParticleMesh
@@ -55,6 +56,8 @@ def warm_up(crowd: Crowd | None = None) -> float:
     pair, alone = np.array([0]), np.array([-1])
     nearest(np.ones((1, 2)), pair, alone, np.ones((1, 2)), np.ones(1), 1, 1.0)
     spacing(d, 1.0, 1.0, np.zeros_like(d))
+    middle(np.ones((1, 2)), np.empty(2))
+    detours(np.ones((1, 2)), np.ones((1, 2)), 1.0, np.empty(1), np.ones((1, 2)), np.ones((1, 2)))
     Holonomic().project(u, 1.0)
     Holonomic().transpose(d, u, reverse_sweep(crowd, trajectory, source), 0.01, 1)
     return time.perf_counter() - started

@@ -51,8 +51,11 @@ class CostToGo:
             off = x[errands.sheep] - places
             r = np.linalg.norm(off, axis=1, keepdims=True)
             unit = off / np.maximum(r, 1e-12)
-            dogs, around = d[errands.dogs] - places, np.where(straight, errands.around, 0.0)
-            way, by_dog, by_post = detour(dogs, off + errands.standoff * unit, around)
+            ends = d[errands.dogs] - places, off + errands.standoff * unit
+            way, by_dog, by_post = detour(*ends, errands.around)
+            if not straight.all():
+                for round_, direct in zip((way, by_dog, by_post), detour(*ends, 0.0), strict=True):
+                    round_[~straight] = direct[~straight]
             width = _SMOOTHING * errands.standoff
             time = (np.sqrt(way**2 + width**2) - width)[:, None] / self.max_speed
             by_way = (way / np.sqrt(way**2 + width**2))[:, None] / self.max_speed
