@@ -18,7 +18,9 @@ setup(
     maintainer=about['maintainer'].text,
     maintainer_email=about['maintainer'].get('email'),
     packages=find_packages(include=[name, name + '.*']),
-    package_data={name: ['py.typed', 'nodes/fastdds*.xml', 'studies/pages/*.md']},
+    package_data={
+        name: ['py.typed', 'model/fields/*.yaml', 'nodes/fastdds*.xml', 'studies/pages/*.md']
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + name]),
         ('share/' + name, ['package.xml']),
@@ -28,7 +30,7 @@ setup(
     ],
     python_requires='>=3.10',
     # The oldest that serve: those of Ubuntu 24.04. requirements.txt pins what is tested.
-    install_requires=['numpy>=1.26', 'scipy>=1.11', 'numba>=0.57'],
+    install_requires=['numpy>=1.26', 'scipy>=1.11', 'numba>=0.57', 'shapely>=2.0', 'pyyaml'],
     extras_require={
         'report': ['matplotlib', 'mcap>=1.2', 'pyyaml', 'rich', 'rosbags>=0.10'],
         'study': ['matplotlib', 'rich', 'distributed'],
