@@ -19,6 +19,7 @@ from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.motion import MOTIONS
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import World
+from herding_ros.nodes.herd import _parser
 from herding_ros.nodes.settings import (
     ControllerSettings,
     ControlPreset,
@@ -229,6 +230,15 @@ def test_the_topics_and_services_are_those_of_the_nodes() -> None:
     )
     assert topics == there['topic']
     assert services == {name for name in there['service'] if 'description' not in name}
+
+
+def test_every_option_of_herd_is_explained() -> None:
+    text = (ROOT / 'doc' / 'running.md').read_text(encoding='utf-8')
+    table = text.partition('## One command')[2].partition('\n## ')[0]
+    options = {option for action in _parser()._actions for option in action.option_strings}
+    options -= {'-h', '--help', '--parameter'}  # the last is -p
+    missing = {option for option in options if not re.search(rf'`{option}\b', table)}
+    assert not missing, f'doc/running.md lacks {missing}'
 
 
 def test_each_file_is_on_the_map() -> None:
