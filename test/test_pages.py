@@ -232,6 +232,21 @@ def test_the_topics_and_services_are_those_of_the_nodes() -> None:
     assert services == {name for name in there['service'] if 'description' not in name}
 
 
+NO_ROWS = {'crowd.length', 'crowd.time', 'crowd.png', 'reference.speed'}
+"""What scales a preset, the picture of `fit`, and what studies.md calls gone."""
+
+
+def test_the_parameters_that_pages_name_exist() -> None:
+    table = PARAMETERS.read_text(encoding='utf-8')
+    names = set(re.findall(r'^\| `([\w.]+)` \|', table, re.M))
+    groups = '|'.join({name.split('.')[0] for name in names if '.' in name})
+    for page in PAGES:
+        text = page.read_text(encoding='utf-8')
+        for name in set(re.findall(rf'`((?:{groups})\.[\w.]*\w)(?::=?[^`]*)?`', text)) - NO_ROWS:
+            there = any(f'{each}.'.startswith(f'{name}.') for each in names)
+            assert there or name.endswith('.yaml'), f'{page.name} names {name}'
+
+
 def test_every_option_of_herd_is_explained() -> None:
     text = (ROOT / 'doc' / 'running.md').read_text(encoding='utf-8')
     table = text.partition('## One command')[2].partition('\n## ')[0]
