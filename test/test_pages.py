@@ -244,7 +244,7 @@ def test_the_parameters_that_pages_name_exist() -> None:
         text = page.read_text(encoding='utf-8')
         for name in set(re.findall(rf'`((?:{groups})\.[\w.]*\w)(?::=?[^`]*)?`', text)) - NO_ROWS:
             there = any(f'{each}.'.startswith(f'{name}.') for each in names)
-            assert there or name.endswith('.yaml'), f'{page.name} names {name}'
+            assert there or name.endswith(('.py', '.yaml')), f'{page.name} names {name}'
 
 
 def test_every_option_of_herd_is_explained() -> None:
