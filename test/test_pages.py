@@ -22,6 +22,7 @@ from herding_ros.nodes.settings import (
     ControlPreset,
     RecorderSettings,
     SimSettings,
+    ViewSettings,
 )
 import pytest
 
@@ -100,6 +101,7 @@ def section() -> str:
         table('controller: the node', rows(ControllerSettings())),
         table('controller: the method', control_rows()),
         table('recorder', rows(RecorderSettings())),
+        table('view', rows(ViewSettings())),
     ]
     return '\n' + '\n'.join(tables) + '\n'
 

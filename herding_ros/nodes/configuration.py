@@ -15,7 +15,14 @@ from herding_ros.model.parameters import check, Parameters
 from herding_ros.model.simulation import World
 import yaml
 
-from .settings import ControllerSettings, ControlPreset, CrowdPreset, RecorderSettings, SimSettings
+from .settings import (
+    ControllerSettings,
+    ControlPreset,
+    CrowdPreset,
+    RecorderSettings,
+    SimSettings,
+    ViewSettings,
+)
 
 _OF_ROS = ('use_sim_time', 'qos_overrides.')
 
@@ -106,7 +113,7 @@ def checked(values: Mapping[str, Any]) -> dict[str, Any]:
     it, and for a value that is not allowed.
     """
     groups: list[tuple[str, Parameters]] = [
-        *(('', each) for each in (World(), SimSettings(), RecorderSettings())),
+        *(('', each) for each in (World(), SimSettings(), RecorderSettings(), ViewSettings())),
         *(('', each) for each in (Control(), ControlPreset(), ControllerSettings())),
         ('crowd.', CrowdPreset()),
         ('crowd.', crowd_of(values)),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import os
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,16 @@ def draw_herd(
         )  # fmt: skip
         axes.plot([], [], 'h', color=BLUE, markersize=2 * size, label=labels[0], **common)
     axes.plot(*np.transpose(d), '^', color=RED, markersize=2 * size, label=labels[1], **common)
+
+
+def number_dogs(axes: Axes, d: Any, numbers: Iterable[int]) -> None:
+    """Write its number beside each dog at d (M, 2) [m], but for those without a place."""
+    for place, number in zip(np.asarray(d), numbers, strict=True):
+        if np.isfinite(place).all():
+            axes.annotate(
+                str(number), place, (4, 4), textcoords='offset points', fontsize=8,
+                annotation_clip=True,
+            )  # fmt: skip
 
 
 def draw_goal(axes: Axes, goal: Any, size: float = 9.0, label: str | None = None) -> None:
