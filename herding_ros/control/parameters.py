@@ -6,8 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from herding_ros.model.bodies import Body
+from herding_ros.model.flock import Allowance, flock
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
+from herding_ros.model.state import HerdState
 
 
 @dataclass(frozen=True)
@@ -190,7 +192,7 @@ class Optimiser(Parameters):
     )
     max_iterations: int = quantity(60, 'most iterations of one solve', low=1, high=10_000)
     feedback_iterations: int = quantity(
-        8, 'most iterations of an improvement between two windows', low=1, high=10_000
+        5, 'most iterations of an improvement between two windows', low=1, high=10_000
     )
     rules: bool = quantity(
         True, 'start from what a rule of herding does, if that costs less than the last plan'
@@ -372,6 +374,11 @@ class Control(Parameters):
     mapping: Mapping = Mapping()
     sensor: Sensor = Sensor()
     bodies: Bodies = Bodies()
+    arrival: Allowance = Allowance()
+
+    def herded(self, state: HerdState) -> HerdState:
+        """Return the herd without the sheep that may be left behind: no dog is sent for them."""
+        return state.of_sheep(flock(state.x, self.arrival.strays))
 
 
 PAPER = Control(

@@ -15,7 +15,7 @@ import threading
 from typing import Protocol
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.motion import Holonomic
+from herding_ros.model.motion import Obedient
 from herding_ros.model.state import Array, finite, HerdState
 import numpy as np
 from numpy.typing import NDArray
@@ -284,7 +284,7 @@ class Pilot:
     def _filtered(self, asked: Array, estimate: Observed) -> Array:
         """Return the commands (M, 2) [m/s] for those that a plan asks for; count and say why."""
         control = self._control
-        if keeps_distances(control) and not isinstance(control.motion, Holonomic):
+        if keeps_distances(control) and not isinstance(control.motion, Obedient):
             self._say(
                 'warning',
                 'dogs are not kept apart: bodies.separation and bodies.sheep_distance are for '
