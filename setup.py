@@ -10,6 +10,8 @@ manifest = ElementTree.parse(Path(__file__).resolve().with_name('package.xml'))
 about = {each.tag: each for each in manifest.getroot()}
 name = about['name'].text
 
+LAYOUTS = ['config/foxglove.json', 'config/plotjuggler.xml']
+
 setup(
     name=name,
     version=about['version'].text,
@@ -24,7 +26,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + name]),
         ('share/' + name, ['package.xml']),
-        ('share/' + name + '/config', glob('config/*.yaml')),
+        ('share/' + name + '/config', [*glob('config/*.yaml'), *LAYOUTS]),
         ('share/' + name + '/launch', glob('launch/*.launch.py')),
         ('share/' + name + '/rviz', glob('rviz/*.rviz')),
     ],

@@ -42,7 +42,7 @@ class _Node:
 _NODES = {
     'sim': _Node(
         'Moves the herd, and publishes what sensors would observe of it.',
-        'publishes: sheep, dog_<i>/odom, truth/sheep, truth/dog_<i>/odom, /clock, markers, '
+        'publishes: sheep, dog_<i>/odom, dogs, the same below truth/, /clock, markers, '
         '/diagnostics\nsubscribes to: dog_<i>/cmd_vel, goal_pose\nservices: ~/reset, ~/pause',
         (('', SimSettings()), ('', World()), ('crowd.', Crowd())),
         (

@@ -40,7 +40,11 @@ _FOR_PARAMETERS = 30.0
 """Longest time after a run in which the recorder may receive the nodes' parameters [s]."""
 
 
-_NEXT = (('look at', 'trajectories.png'), ('draw again: report', 'bag'))
+_NEXT = (
+    ('look at', 'trajectories.png'),
+    ('open in a browser:', 'replay.html'),
+    ('draw again: report', 'bag'),
+)
 """What to do with the files of a run."""
 
 

@@ -103,7 +103,12 @@ class HerdSeen:
         sheep = self._newest(self._sheep, self._sheep_in)
         for m, inbox in self._dogs.items():
             if dog := self._newest(inbox, self._dog_in):
-                _, place, heading, _ = dog
+                _, place, heading, velocity = dog
+                if velocity.any() and np.isfinite(velocity).all():
+                    # It looks where it goes, since many dogs have no front: heading 0.
+                    heading = math.atan2(velocity[1], velocity[0])
+                elif m in self._places:
+                    heading = self._places[m][1]
                 self._places[m] = place, heading
         if sheep is not None:
             self._add_sheep(sheep)

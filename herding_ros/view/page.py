@@ -168,12 +168,13 @@ def polylines(points: Array) -> Array:
 
 
 class _Scene:
-    """The herd in viser's scene; its sizes follow from the first herd that is drawn."""
+    """The herd in viser's scene; its sizes follow from where all were when first seen."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._scene = server.scene
         self._size = 0.0
+        self._known: object = None
         self._handles: dict[str, Any] = {}
         self._labels: tuple[int, ...] = ()
         self._box: Array = np.zeros((2, 2))
@@ -184,10 +185,10 @@ class _Scene:
 
     def draw(self, frame: Frame) -> None:
         self._box = _box(frame)
-        if not self._size:
-            self._size = 0.012 * float(np.ptp(self._box, axis=0).max())
-            self._add_grid()
-            self.look_at_all()
+        known = (frame.numbers, frame.goal is not None)
+        if known != self._known:  # others, who may be far away
+            self._known = known
+            self._begin()
         size = self._size
         self._draw_sheep(frame)
         self._draw_dogs(frame)
@@ -197,6 +198,15 @@ class _Scene:
         self._draw_lines('expected', frame.expected[:, None], _BLUE, 1.0)
         cross = np.zeros((0, 2, 2)) if frame.goal is None else frame.goal + 1.5 * size * _CROSS
         self._draw_segments('goal', cross, np.broadcast_to(np.uint8(0), (len(cross), 2, 3)), 3.0)
+
+    def _begin(self) -> None:
+        """Begin a new picture, as large as the herd is now."""
+        for handle in self._handles.values():
+            handle.remove()
+        self._handles, self._labels = {}, ()
+        self._size = 0.012 * float(np.ptp(self._box, axis=0).max())
+        self._add_grid()
+        self.look_at_all()
 
     def look_at_all(self) -> None:
         """Set the camera, of browsers to come and of those that are here."""
@@ -248,13 +258,15 @@ class _Scene:
         there = np.isfinite(d[:, 0])
         d, headings = d[there], headings[there]
         numbers = tuple(number for number, here in zip(numbers, there, strict=True) if here)
+        if not numbers and 'dogs' not in self._handles:
+            return
         turns = np.zeros((len(d), 4))
         turns[:, 0], turns[:, 3] = np.cos(0.5 * headings), np.sin(0.5 * headings)
         at = _placed(d, 0.2 * self._size)
         if numbers != self._labels or 'dogs' not in self._handles:
             self._name_dogs(numbers, at)
             self._handles['dogs'] = self._scene.add_batched_meshes_simple(
-                '/dogs', self._size * _DOG, np.array([[0, 1, 2]]), turns, at,
+                '/dogs', 1.5 * self._size * _DOG, np.array([[0, 1, 2]]), turns, at,
                 batched_colors=_LIT_RED, side='double', lod='off',
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip

@@ -41,8 +41,7 @@ class Watched:
 
     def press(self, name: str) -> None:
         """Click on a button or a tab."""
-        button = self.browser.find_element('xpath', f'//*[normalize-space(text())="{name}"]')
-        self.browser.execute_script('arguments[0].click()', button)
+        self.browser.find_element('xpath', f'//*[normalize-space(text())="{name}"]').click()
 
     def status(self, name: str) -> Any:
         """Return the next status of a name."""

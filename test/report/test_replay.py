@@ -24,7 +24,7 @@ BLUE, RED = (33, 102, 172), (194, 41, 43)
 def a_run(states: int = 101, sheep: int = 12, dogs: int = 2, plans: int = 9) -> RecordedRun:
     """Sheep that move to the right, dogs behind them, and a plan every second."""
     rng = np.random.default_rng(0)
-    times = 0.1 * np.arange(states)
+    times = np.linspace(0.0, 10.0, states)
     way = np.stack([0.1 * times, 0.0 * times], axis=1)[:, None]
     x = rng.normal(0.0, 0.2, (sheep, 2)) + way
     d = np.array([[-1.0, 0.5 * m] for m in range(dogs)]) + way
@@ -53,13 +53,14 @@ def unpacked(data: dict[str, Any], text: str, *shape: int) -> np.ndarray:
     return np.where(values == -32768, np.nan, places)
 
 
-def test_packed_places_are_those_of_the_run_to_a_ten_thousandth() -> None:
+def test_packed_places_are_those_of_the_run() -> None:
     run = a_run()
     run.d[40:60, 1] = np.nan  # silent
     data = packed(run)
+    assert data['unit'] < 1e-4 * np.ptp(data['box'])
     for name, places in (('x', run.x), ('d', run.d)):
         found = unpacked(data, data[name], *places.shape[:2])
-        assert np.allclose(found, places, atol=1e-4, equal_nan=True)
+        assert np.allclose(found, places, rtol=0, atol=data['unit'], equal_nan=True)
     times = np.frombuffer(b64decode(data['times']), '<f4')
     assert np.allclose(times, run.times)
     assert data['goals'] == [[0.0, 2.0, 0.0], [5.0, 1.0, 1.0]]
@@ -82,7 +83,7 @@ def test_packed_plans_are_those_that_are_in_play() -> None:
 
 
 @pytest.mark.parametrize(
-    ('states', 'sheep', 'dogs', 'plans'), [(3000, 2000, 6, 300), (2, 1, 1, 0)]
+    ('states', 'sheep', 'dogs', 'plans'), [(2000, 1200, 6, 300), (2, 1, 1, 0)]
 )
 def test_page_is_small_whatever_the_run(
     tmp_path: Path, states: int, sheep: int, dogs: int, plans: int
@@ -141,14 +142,14 @@ def test_browser_plays_it(browser: Any, tmp_path: Path) -> None:
 
 def test_animation_shows_the_run_from_its_start_to_its_end(tmp_path: Path) -> None:
     file = tmp_path / 'run.gif'
-    save_animation(a_run(states=12), file)
+    save_animation(a_run(states=4), file)
     with Image.open(file) as found:
-        assert found.n_frames == 12
+        assert found.n_frames == 4
         blue = []
-        for k in (0, 11):
+        for k in (0, 3):
             found.seek(k)
             shown = np.asarray(found.convert('RGB')).astype(float)
             blue.append(np.argwhere(np.linalg.norm(shown - BLUE, axis=-1) < 60.0)[:, 1].mean())
-    assert blue[1] > blue[0] + 5.0
+    assert blue[1] > blue[0] + 50.0
     with pytest.raises(ValueError, match=r'must end in \.gif or \.mp4, got run\.avi'):
         save_animation(a_run(), tmp_path / 'run.avi')

@@ -211,7 +211,7 @@ def test_picture_shows_sheep_dogs_and_goal(run: RecordedRun, tmp_path: Path) -> 
         {'goal': None},
         {'d': np.full((5, 2, 2), NAN)},
         {'d': np.empty((5, 0, 2)), 'dogs': ()},
-        {'x': np.where(np.arange(4)[:, None] < [[[1]]] * 5, 1.0, NAN)},
+        {'x': np.where(np.arange(4)[:, None] < [[[1, 1]]] * 5, 1.0, NAN)},
     ],
 )
 @pytest.mark.filterwarnings('error')
@@ -221,7 +221,9 @@ def test_picture_of_a_poor_run(run: RecordedRun, tmp_path: Path, change: dict[st
 
 
 def test_picture_of_a_single_state(run: RecordedRun, tmp_path: Path) -> None:
-    one = replace(run, times=run.times[:1], x=run.x[:1, :1], v=run.v[:1, :1], d=run.d[:1, :1])
+    one = replace(
+        run, times=run.times[:1], x=run.x[:1, :1], v=run.v[:1, :1], d=run.d[:1, :1], dogs=(1,)
+    )
     save_trajectories(one, tmp_path / 'trajectories.png')
     summarise(one)
 
@@ -320,7 +322,7 @@ def test_program_writes_beside_the_bag(
     bag = bag_of(run, tmp_path / 'bag', run_recorder)
     assert main([str(bag)]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        'bag', 'summary.json', 'trajectories.png'
+        'bag', 'replay.html', 'summary.json', 'trajectories.png'
     ]  # fmt: skip
     assert 'summary.json' in capsys.readouterr().out
 
