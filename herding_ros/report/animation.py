@@ -72,7 +72,7 @@ def _pictures(run: RecordedRun) -> list[Image.Image]:
     for k in states:
         axes.clear()
         _draw(axes, run, int(k), middle)
-        axes.set(xlim=box[:, 0], ylim=box[:, 1], xlabel='x [m]', ylabel='y [m]')
+        axes.set(xlim=box[:, 0], ylim=box[:, 1])
         axes.set_aspect('equal', adjustable='box')
         canvas.draw()
         found.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert('RGB'))

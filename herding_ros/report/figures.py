@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 import numpy as np
 
-from .style import BLUE, draw_goal, draw_herd, draw_paths, GREY, number_dogs, save
+from .style import BLUE, draw_goal, draw_herd, draw_paths, GREY, legend, number_dogs, save
 from .summary import arrival, distances, initial_spread, over_time
 
 _MOST_NUMBERS = 60
@@ -52,7 +52,6 @@ def _draw_map(axes: Axes, run: RecordedRun) -> None:
         number_dogs(axes, run.d[-1], run.dogs)
     draw_goal(axes, run.goal, 11.0, 'destination')
     axes.margins(0.06)
-    axes.set(xlabel='x [m]', ylabel='y [m]')
     axes.legend(fontsize=8, frameon=True, framealpha=0.9, edgecolor='none', loc='best')
 
 
@@ -73,7 +72,9 @@ def _draw_solves(axes: Axes, run: RecordedRun) -> None:
         times = [replan.time for replan in replans]
         solve_ms = [replan.solve_ms for replan in replans]
         axes.vlines(times, 0.0, solve_ms, color='0.75')
-        axes.plot(times, solve_ms, 'o', color='black', markersize=size)
+        label = f'{kind}s' if replans else None
+        axes.plot(times, solve_ms, 'o', color='black', markersize=size, label=label)
+    legend(axes)
     axes.set_xlabel('time [s]', fontsize=9)
     axes.set_ylabel('solving\na replan [ms]', fontsize=9)
     axes.set_ylim(bottom=0.0)

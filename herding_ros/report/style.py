@@ -90,7 +90,8 @@ def number_dogs(axes: Axes, d: Any, numbers: Iterable[int]) -> None:
 
 
 def draw_goal(axes: Axes, goal: Any, size: float = 9.0, label: str | None = None) -> None:
-    """Draw a cross at the goal (2,) [m], if there is one; both axes have the same scale."""
+    """Draw a cross at the goal (2,) [m], if there is one; both axes, in metres, have one scale."""
     if goal is not None:
         axes.plot(*goal, 'x', color='black', markersize=size, markeredgewidth=2, label=label)
     axes.set_aspect('equal', adjustable='datalim')
+    axes.set(xlabel='x [m]', ylabel='y [m]')

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 import io
+from pathlib import Path
 import re
 import signal
 import time
@@ -16,6 +17,7 @@ from geometry_msgs.msg import PoseStamped
 from herding_ros.nodes import view
 import numpy as np
 from PIL import Image
+import psutil
 import pytest
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -172,6 +174,60 @@ def test_closing_it_disturbs_nobody(watched: Watched) -> None:
     passed, took = float(after['time_s']) - float(before['time_s']), time.monotonic() - begun
     assert passed == pytest.approx(took, abs=0.8)
     assert after['periods_skipped'] == before['periods_skipped']
+
+
+def test_recorded_run_is_played(
+    browser: Any, start: Callable[..., Any], tmp_path: Path, run_recorder: Any, wait_until: Any
+) -> None:
+    with run_recorder(tmp_path / 'bag') as recorder:
+        for k in range(200):
+            ns, along = k * 10**8, 0.005 * k
+            sheep = [(along + 0.1 * i, 0.1 * j) for i in range(4) for j in range(4)]
+            recorder.sheep('/truth/sheep', ns, sheep, np.zeros((16, 2)))
+            recorder.odometry('/truth/dog_1/odom', ns, (along - 0.3, 0.0))
+            recorder.log_ns += 10**8
+            recorder.publish_ns += 10**8
+        recorder.goal(0, (1.5, 0.0), '/herd/goal')
+    process = start('view', str(tmp_path / 'bag'), browser=False)
+    process.wait_for('the page is at')
+    (url,) = re.findall(r'http://\S+', process.log)
+    browser.get(url)
+
+    def second() -> float:
+        found = re.search(r't ([\d.]+) of 19\.9 s', browser.find_element('tag name', 'body').text)
+        return float(found[1]) if found else -1.0
+
+    wait_until(lambda: second() > 0.0 and len(pixels(browser, BLUE)) > 100)
+    first = second(), pixels(browser, BLUE)[:, 0].mean()
+    wait_until(lambda: second() > first[0] + 8.0)
+    assert pixels(browser, BLUE)[:, 0].mean() > first[1] + 10.0
+    browser.get('about:blank')
+    process.ends_in_time(signal.SIGINT)
+
+
+def test_herd_with_a_view_goes_on_until_it_is_told_to_end(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
+    options = ['--sheep', '5', '--dogs', '2', '--time-limit', '1', '-p', 'browser:=false']
+    process = start('herd', '--view', *options, '--out', str(tmp_path / 'out'))
+    process.wait_for('click on another destination')
+    assert re.search(r'watch it at http://127\.0\.0\.1:\d+\n', process.log)
+    children = psutil.Process(process.process.pid).children()
+    assert len(children) == 4
+    assert process.end() == 1  # the flock did not arrive
+    assert psutil.wait_procs(children, timeout=5.0)[1] == []
+    assert (tmp_path / 'out' / 'replay.html').exists()
+
+
+def test_run_goes_on_without_a_view_that_died(start: Callable[..., Any], tmp_path: Path) -> None:
+    options = ['--sheep', '5', '--dogs', '2', '--time-limit', '5', '-p', 'browser:=false']
+    process = start('herd', '--view', *options, '--out', str(tmp_path / 'out'))
+    process.wait_for('watch it at')
+    children = psutil.Process(process.process.pid).children()
+    (view,) = [each for each in children if 'herding_ros.nodes.view' in each.cmdline()]
+    view.kill()
+    assert process.wait() == 1
+    assert 'the view died (exit code -9); the run goes on' in process.log
 
 
 def test_bag_that_is_none_is_refused_in_a_word(start: Callable[..., Any], tmp_path: Any) -> None:

@@ -220,6 +220,23 @@ def test_picture_of_a_poor_run(run: RecordedRun, tmp_path: Path, change: dict[st
     assert (tmp_path / 'trajectories.png').stat().st_size > 10_000
 
 
+def test_every_axis_of_the_picture_is_labelled_and_every_dog_has_its_number(
+    run: RecordedRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(figures, 'save', lambda figure, *_, **__: drawn.append(figure))
+    replans = (*run.replans, replan(3, 1.0, 'feedback'))
+    save_trajectories(replace(run, replans=replans), tmp_path / 'trajectories.png')
+    (figure,) = drawn
+    for axes in figure.axes:
+        assert axes.get_ylabel()
+        assert axes.get_xlabel() or axes.get_shared_x_axes().joined(axes, figure.axes[1])
+    numbers = [text.get_text() for text in figure.axes[0].texts]
+    assert numbers == ['1', '2']
+    kinds = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+    assert kinds == ['windows', 'feedbacks']
+
+
 def test_picture_of_a_single_state(run: RecordedRun, tmp_path: Path) -> None:
     one = replace(
         run, times=run.times[:1], x=run.x[:1, :1], v=run.v[:1, :1], d=run.d[:1, :1], dogs=(1,)
