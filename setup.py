@@ -21,7 +21,13 @@ setup(
     maintainer_email=about['maintainer'].get('email'),
     packages=find_packages(include=[name, name + '.*']),
     package_data={
-        name: ['py.typed', 'nodes/fastdds*.xml', 'report/replay.html', 'studies/pages/*.md']
+        name: [
+            'py.typed',
+            'model/fields/*.yaml',
+            'nodes/fastdds*.xml',
+            'report/replay.html',
+            'studies/pages/*.md',
+        ]
     },
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + name]),
@@ -32,7 +38,7 @@ setup(
     ],
     python_requires='>=3.10',
     # The oldest that serve: those of Ubuntu 24.04. requirements.txt pins what is tested.
-    install_requires=['numpy>=1.26', 'scipy>=1.11', 'numba>=0.57'],
+    install_requires=['numpy>=1.26', 'scipy>=1.11', 'numba>=0.57', 'shapely>=2.0', 'pyyaml'],
     extras_require={
         'report': ['matplotlib', 'mcap>=1.2', 'pillow', 'pyyaml', 'rich', 'rosbags>=0.10'],
         'view': ['viser>=1.1'],

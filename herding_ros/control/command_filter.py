@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from herding_ros.model.bodies import closest
+from herding_ros.model.field import Field, NO_FIELD
 from herding_ros.model.motion import Obedient
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -41,11 +42,18 @@ class CommandFilter:
         self._places = np.full((dogs, 2), np.nan)
 
     def filtered(
-        self, asked: Array, last: Array, state: HerdState, dogs: tuple[int, ...], control: Control
+        self,
+        asked: Array,
+        last: Array,
+        state: HerdState,
+        dogs: tuple[int, ...],
+        control: Control,
+        field: Field = NO_FIELD,
     ) -> FilteredCommand:
         """Return what to command for `asked` (M, 2), after `last` (M, 2) [m/s].
 
-        state: of the sheep and of the dogs that are seen; dogs: these, by their indices.
+        state: of the sheep and of the dogs that are seen; dogs: these, by their indices; field:
+        that they are in.
         """
         bodies, seen = control.bodies, list(dogs)
         motion, period = control.motion, control.horizon.control_period
@@ -54,19 +62,19 @@ class CommandFilter:
         self._places[seen] = state.dogs
         hidden = np.delete(self._places, seen, axis=0)
         hidden = hidden[np.isfinite(hidden[:, 0])]
-        keeps = keeps_distances(control)
+        keeps = keeps_distances(control, field)
         wanted = u = asked[seen]
         before, most = last[seen], motion.largest_change(period)
         if keeps:
             # Dogs that have to turn do so for what they would be told if they need not.
-            u = _apart(wanted, state, hidden, control, bodies.margin, Agility(before))
+            u = _apart(wanted, state, hidden, control, field, bodies.margin, Agility(before))
         changed = u is not wanted
         if bodies.ramp or most < np.inf:
             smooth = control.max_speed * period / bodies.ramp if bodies.ramp else np.inf
             u = before + motion.project(u - before, min(most, smooth))
         if keeps:
             agility = Agility(before, most, motion.directions(state.d))
-            u = _apart(u, state, hidden, control, 0.0, agility, part=not bodies.ramp)
+            u = _apart(u, state, hidden, control, field, 0.0, agility, part=not bodies.ramp)
         command = asked.copy()
         command[seen] = u
         return FilteredCommand(command, changed, keeps and _are_too_near(state.dogs, bodies))
@@ -77,6 +85,7 @@ def _apart(
     state: HerdState,
     hidden: Array,
     control: Control,
+    field: Field,
     margin: float,
     agility: Agility,
     part: bool = True,
@@ -107,12 +116,18 @@ def _apart(
     if bodies.sheep_distance:
         from_sheep = kept(bodies.sheep_distance)
         planes = planes.and_also(HalfPlanes.around(state.x, d, from_sheep, reach))
+    if len(field.bars):
+        gaps, normals = field.away(d)
+        gaps -= kept(bodies.wall_distance)
+        dogs, walls = np.nonzero(gaps < reach)
+        planes = planes.and_also(HalfPlanes(dogs, normals[dogs, walls], gaps[dogs, walls]))
     return kept_apart(d, u, distance, gain, limit, planes, part, agility)
 
 
-def keeps_distances(control: Control) -> bool:
-    """Return whether commands are to keep dogs from each other or from sheep."""
-    return control.bodies.separation > 0.0 or control.bodies.sheep_distance > 0.0
+def keeps_distances(control: Control, field: Field = NO_FIELD) -> bool:
+    """Return whether commands are to keep dogs from each other, from sheep or from walls."""
+    bodies = control.bodies
+    return bodies.separation > 0.0 or bodies.sheep_distance > 0.0 or len(field.bars) > 0
 
 
 def _are_too_near(d: Array, bodies: Bodies) -> bool:

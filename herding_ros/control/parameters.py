@@ -57,6 +57,14 @@ class Weights(Parameters):
         low=0.0,
         live=True,
     )
+    walls: float = quantity(
+        1.0,
+        'weight of dogs that are nearer to a wall of the field than bodies.wall_distance and '
+        'twice bodies.margin',
+        'm^2',
+        low=0.0,
+        live=True,
+    )
     spacing: float = quantity(
         0.1,
         'weight of two dogs that are nearer to each other than bodies.separation and twice '
@@ -306,6 +314,13 @@ class Bodies(Body):
     sheep_distance: float = quantity(
         0.0,
         'distance that commands keep from sheep as long as these stand; 0: none',
+        'm',
+        low=0.0,
+        live=True,
+    )
+    wall_distance: float = quantity(
+        0.05,
+        'distance that commands keep between the middle of a dog and a wall of the field',
         'm',
         low=0.0,
         live=True,

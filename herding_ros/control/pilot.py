@@ -15,6 +15,7 @@ import threading
 from typing import Protocol
 
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.field import field_of
 from herding_ros.model.motion import Obedient
 from herding_ros.model.state import Array, finite, HerdState
 import numpy as np
@@ -283,8 +284,8 @@ class Pilot:
 
     def _filtered(self, asked: Array, estimate: Observed) -> Array:
         """Return the commands (M, 2) [m/s] for those that a plan asks for; count and say why."""
-        control = self._control
-        if keeps_distances(control) and not isinstance(control.motion, Obedient):
+        control, field = self._control, field_of(self._crowd)
+        if keeps_distances(control, field) and not isinstance(control.motion, Obedient):
             self._say(
                 'warning',
                 'dogs are not kept apart: bodies.separation and bodies.sheep_distance are for '
@@ -292,7 +293,7 @@ class Pilot:
                 'set both to 0',
             )
         command = self._filter.filtered(
-            asked, self._command, estimate.state, estimate.dogs, control
+            asked, self._command, estimate.state, estimate.dogs, control, field
         )
         if command.too_near:
             self._say(

@@ -9,6 +9,7 @@ import numpy as np
 
 from .bodies import Body, closest, touches
 from .crowd import Crowd
+from .field import field_of
 from .flock import Arrival, arrived, centre, spread, without_strays
 from .motion import Holonomic, MotionModel
 from .parameters import Parameters, quantity, TINY
@@ -105,9 +106,13 @@ class Simulation:
         self.periods = 0
         self.touches = touches(self.state.dogs[None], world.bodies.radius)
         """How often two dogs have come to touch; they run on all the same."""
+        self.stops = 0
+        """Steps that a dog could not take, since a wall was in its way."""
         self.closest_dogs = closest(self.state.dogs[None])
         """The smallest distance there was between two dogs [m]; infinite for a single dog."""
         self.initial_spread = float(spread(single(self.flock)))
+        self._periods_held = 0
+        field_of(crowd).check_clear(self.state, world.bodies.radius)
         self._process, self._sensor = flock.spawn(2)
 
     @property
@@ -127,8 +132,15 @@ class Simulation:
 
     @property
     def arrived(self) -> bool:
-        """Whether the flock, rounded as it is published, is at the goal and together."""
-        x, when = single(self.state.x), self.world.arrival
+        """Whether the flock, rounded as it is published, is at the goal and together.
+
+        Where the goal is that of a field with a region: whether that has held the flock for as
+        long as the field says.
+        """
+        x, when, field = single(self.state.x), self.world.arrival, field_of(self.crowd)
+        if field.is_judge(self.goal):
+            held = self._periods_held * self.control_period
+            return field.holds(self.flock) and held > field.hold - 0.5 * self.control_period
         return arrived(x, self.goal, self.initial_spread, when)
 
     def advance(self, u: Array) -> None:
@@ -149,6 +161,8 @@ class Simulation:
         self.state = state
         self.dog_velocities = u
         self.periods += 1
+        held = field_of(self.crowd).holds(self.flock)
+        self._periods_held = self._periods_held + 1 if held else 0
 
     def _count_touches(self, dogs: Array) -> None:
         radius, before = self.world.bodies.radius, self.state.dogs[None]
@@ -161,9 +175,31 @@ class Simulation:
         from .dynamics import rollout
 
         world, t = self.world, self.nanoseconds * 1e-9
-        return rollout(
-            self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
-        ).at(-1)
+        if not len(field_of(self.crowd).bars):
+            return rollout(
+                self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
+            ).at(-1)
+        state = self.state
+        for k, each in enumerate(noise):
+            after = rollout(
+                self.crowd, state, u[None], world.dt, 1, each[None], t + k * world.dt, world.motion
+            ).at(-1)
+            state = self._stopped_by_walls(state, after)
+        return state
+
+    def _stopped_by_walls(self, before: HerdState, after: HerdState) -> HerdState:
+        """Return the state after a step, with sheep and dogs where they were that a wall stops.
+
+        Such sheep turn back.
+        """
+        field, x, v, d = field_of(self.crowd), after.x.copy(), after.v.copy(), after.d.copy()
+        sheep = field.stopped(before.x, x)
+        x[sheep] = before.x[sheep]
+        v[sheep] = field.turned_back(x[sheep], v[sheep])
+        dogs = field.stopped(before.dogs, after.dogs, self.world.bodies.radius)
+        d[dogs, :2] = before.dogs[dogs]
+        self.stops += int(dogs.sum())
+        return HerdState(x, v, d)
 
     def observe(self) -> Observation:
         """Return a noisy observation: true values plus independent Gaussian noise."""

@@ -34,7 +34,7 @@ from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
 from .mismatches import Mismatches, twist_type
 from .observations import Observations
-from .parameters import declare, declare_control, declare_crowd
+from .parameters import declare, declare_control, declare_crowd, in_field
 from .publishing import (
     ADJUSTABLE,
     CountingPublisher,
@@ -67,12 +67,12 @@ class Controller(HerdingNode):
         """Declare parameters, load the kernels, then subscribe."""
         super().__init__('controller')
         self._settings = settings = declare(self, ControllerSettings())
-        crowd = declare_crowd(self)
+        crowd, goal = in_field(declare_crowd(self), settings)
         control = declare_control(self, crowd)
         self._control = control
         self._control_period = control.horizon.control_period
         self._decided = 0  # time of the last decision [ns]
-        planner = RecedingHorizon(crowd, control, np.array(settings.goal), settings.seed)
+        planner = RecedingHorizon(crowd, control, goal, settings.seed)
         self._pilot: LockstepPilot | RealTimePilot
         if settings.lockstep:
             self._pilot = LockstepPilot(planner, settings.dogs)

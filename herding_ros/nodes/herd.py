@@ -16,6 +16,7 @@ import time
 from typing import Any
 
 from herding_ros.control.lead import FASTEST, lead_at, SLOWEST
+from herding_ros.model.field import read_field, shipped_fields
 from herding_ros.model.flock import MOST_STRAYS
 from herding_ros.model.kernel_cache import has_kernels
 from herding_ros.model.parameters import LARGE, TINY
@@ -100,6 +101,10 @@ _OPTIONS = {
         'type': _number(float, TINY, LARGE), 'metavar': 'S',
         'help': 'simulated seconds to try (400)',
     }),
+    'field': _Option('field', {
+        'metavar': 'NAME', 'help': 'fences, obstacles, pens and the destination: '
+        f'{", ".join(shipped_fields())} or a file; its parameters count less than all others',
+    }),
 }  # fmt: skip
 
 _NODES = ('recorder', 'controller', 'sim')
@@ -165,9 +170,24 @@ def _values(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
             assigned[option.parameter] = value
     values = {}
     for node in (*_NODES, 'view'):
-        of_files = {name: value for file in files for name, value in file(node, '').items()}
-        values[node] = checked({**_DEFAULTS, **of_files, **assigned})
+        given = {name: value for file in files for name, value in file(node, '').items()}
+        given |= assigned
+        values[node] = checked({**_DEFAULTS, **_of_field(given), **given})
     return values
+
+
+def _of_field(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the parameters that go with the field of a node, its destination among them."""
+    if not given.get('field'):
+        return {}
+    field, parameters = read_field(given['field'])
+    if field.place is None:
+        return parameters
+    if 'goal' in given:
+        raise ValueError(
+            f'goal must not be given with a field that has one, such as {given["field"]}'
+        )
+    return {**parameters, 'goal': field.place.tolist()}
 
 
 def _new_folder() -> Path:

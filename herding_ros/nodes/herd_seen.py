@@ -15,6 +15,7 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped
 from herding_ros.bag.recorded_run import in_play, Route
 from herding_ros.checks import Refused
+from herding_ros.model.field import Field
 from herding_ros.model.flock import Arrival, distance, share_within, spread, without_strays
 from herding_ros.model.state import Array
 from herding_ros.view.frame import Curve, Frame, Trails
@@ -52,6 +53,7 @@ class HerdSeen:
         self.spread = Curve('spread [m]')
         self.home = Curve('share of sheep at the destination')
         self.arrival = Arrival()
+        self.field = Field()
         self.ns = 0
         """Stamp of the newest sheep [ns]."""
         self.goal: Array | None = None
@@ -202,6 +204,7 @@ class HerdSeen:
             expected=np.zeros((0, 2)) if expected is None else expected.ahead(self.time),
             dog_trails=trails.dogs,
             centre_trail=trails.centre,
+            field=self.field,
         )
 
 

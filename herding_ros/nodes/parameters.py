@@ -11,13 +11,16 @@ from typing import Any, TypeVar
 from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.control.scale import Scale
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.field import read_field
 from herding_ros.model.parameters import check, describe_limits, Entry, Parameters
 from herding_ros.model.simulation import World
+from herding_ros.model.state import Array
+import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
-from .settings import ControlPreset, CrowdPreset, MotionKind
+from .settings import ControlPreset, CrowdPreset, MotionKind, NodeSettings
 
 _P = TypeVar('_P', bound=Parameters)
 _Herd = TypeVar('_Herd', World, Control)
@@ -37,6 +40,15 @@ def declare(node: Node, defaults: _P, prefix: str = '') -> _P:
 def declare_crowd(node: Node) -> Crowd:
     """Declare the crowd: `crowd.preset` gives the defaults of the other `crowd.` parameters."""
     return declare(node, declare(node, CrowdPreset(), 'crowd.').crowd, 'crowd.')
+
+
+def in_field(crowd: Crowd, settings: NodeSettings) -> tuple[Crowd, Array]:
+    """Return a crowd in the field of a node, and the destination (2,) [m]: the field's, if any."""
+    if not settings.field:
+        return crowd, np.array(settings.goal)
+    field, _ = read_field(settings.field)
+    goal = np.array(settings.goal) if field.place is None else field.place
+    return field.around(crowd), goal
 
 
 def declare_control(node: Node, crowd: Crowd) -> Control:

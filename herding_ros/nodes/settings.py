@@ -17,7 +17,13 @@ from herding_ros.model.scenario import GOAL, MOST_DOGS
 class NodeSettings(Parameters):
     """What sim and controller have in common as ROS nodes."""
 
-    goal: tuple[float, float] = quantity(GOAL, 'destination; goal_pose moves it', 'm')
+    goal: tuple[float, float] = quantity(
+        GOAL, 'destination, unless the field has one; goal_pose moves it', 'm'
+    )
+    field: str = quantity(
+        '',
+        'fences, obstacles and pens: a file, or the name of a field of the package; empty: none',
+    )
     frame: str = quantity('map', 'frame of all positions')
     lockstep: bool = quantity(
         False,

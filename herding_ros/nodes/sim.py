@@ -30,7 +30,7 @@ from .duplicates import ANOTHER_CLOCK, sole_publisher
 from .herding_node import HerdingNode
 from .mismatches import Mismatches
 from .pacing import Lockstep, Pace, RealTime
-from .parameters import declare, declare_crowd, declare_scaled
+from .parameters import declare, declare_crowd, declare_scaled, in_field
 from .publishing import (
     ADJUSTABLE,
     CLOCK,
@@ -61,15 +61,14 @@ class Sim(HerdingNode):
         # It makes the time, and has no use for it; one file may tell all nodes to use it.
         super().__init__('sim', parameter_overrides=[Parameter('use_sim_time', value=False)])
         self._settings = settings = declare(self, SimSettings())
-        crowd = declare_crowd(self)
+        crowd, goal = in_field(declare_crowd(self), settings)
         world = declare_scaled(self, World(), crowd)
         self.load_kernels(partial(warm_up_rollout, crowd, world.motion))
         start = None
         if settings.start_from:
             start = read_start(Path(settings.start_from).expanduser(), settings.start_at)
         self._run = SimulatedRun(
-            crowd, world, np.array(settings.goal), settings.stop_on_arrival, settings.time_limit,
-            start,
+            crowd, world, goal, settings.stop_on_arrival, settings.time_limit, start
         )  # fmt: skip
         self._pace: Pace | None = None
         self._create_publishers(world.dogs)
@@ -240,10 +239,12 @@ class Sim(HerdingNode):
             'periods_skipped': skipped,
             'closest_dogs_m': simulation.closest_dogs,
             'touches': simulation.touches,
+            'stops_at_walls': simulation.stops,
             **self._refused.report_values(),
             **mismatched,
         }
-        good = not (self._refused.counts or mismatched or skipped or simulation.touches)
+        bumps = simulation.touches + simulation.stops
+        good = not (self._refused.counts or mismatched or skipped or bumps)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(

@@ -22,6 +22,7 @@ from geometry_msgs.msg import PoseStamped
 from herding_ros.bag.reader import read_run
 from herding_ros.control.parameters import Control
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.field import Field, read_field
 from herding_ros.model.flock import Arrival
 from herding_ros.model.state import Array
 from herding_ros.view.frame import Curve
@@ -242,6 +243,7 @@ class View(PageNode):
         usual = Arrival()
         known = {name: sim[name] for name in usual.flat('arrival.') if name in sim}
         self._herd.arrival = usual.with_values(known, 'arrival.')
+        self._herd.field = _field_named(sim.get('field', ''), self.get_logger())
         offered: dict[str, Tunable] = {}
         for values in self._values.values():
             for name, tunable in _tunables(values).items():
@@ -361,6 +363,15 @@ def _tunables(values: dict[str, Any]) -> dict[str, Tunable]:
         for entry in entries
         if entry.field.metadata['live'] and isinstance(value := values.get(entry.name), float)
     }
+
+
+def _field_named(name: str, logger: Any) -> Field:
+    """Return the field of the sim, empty where there is none, or none that can be read here."""
+    try:
+        return read_field(name)[0] if name else Field()
+    except (OSError, ValueError) as error:
+        logger.warning(f'the walls are not drawn: {error}')
+        return Field()
 
 
 def _highest(name: str, value: float) -> float:

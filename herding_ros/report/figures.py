@@ -12,8 +12,19 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 import numpy as np
 
-from .style import BLUE, draw_goal, draw_herd, draw_paths, GREY, legend, number_dogs, save
+from .style import (
+    BLUE,
+    draw_goal,
+    draw_herd,
+    draw_paths,
+    draw_walls,
+    GREY,
+    legend,
+    number_dogs,
+    save,
+)
 from .summary import arrival, distances, initial_spread, over_time
+from .walls import field_of_run, outlines, region
 
 _MOST_NUMBERS = 60
 """More dogs than this go without their numbers: nobody could read them."""
@@ -41,6 +52,8 @@ def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
 
 
 def _draw_map(axes: Axes, run: RecordedRun) -> None:
+    field = field_of_run(run)
+    draw_walls(axes, outlines(field), region(field))
     draw_paths(axes, run.d, over_time(centre, run), 'centre of the flock')
     for k, alpha, when in ((0, 0.3, 'start'), (-1, 1.0, 'end')):
         x, d = run.x[k][run.seen[k]], run.d[k][np.isfinite(run.d[k, :, 0])]

@@ -14,6 +14,7 @@ from herding_ros.model.flock import centre, spread
 import numpy as np
 
 from .summary import arrival, distances, initial_spread, over_time
+from .walls import field_of_run, outlines, region
 
 _PAGE = Path(__file__).with_name('replay.html')
 _SLOT = '<script type="application/json" id="run">{}</script>'
@@ -59,8 +60,10 @@ def packed(run: RecordedRun) -> dict[str, Any]:
     goals = [[since, *goal] for since, goal in run.goals] or (
         [] if run.goal is None else [[0.0, *run.goal]]
     )
-    corners = [x.reshape(-1, 2), d.reshape(-1, 2), np.array(goals).reshape(-1, 3)[:, 1:]]
-    box = _box(np.concatenate([*corners, planned.reshape(-1, 2)]))
+    field = field_of_run(run)
+    walls = [line.tolist() for line in outlines(field)]
+    corners = [np.reshape(each, (-1, 2)) for each in (x, d, planned, *walls)]
+    box = _box(np.concatenate([*corners, np.array(goals).reshape(-1, 3)[:, 1:]]))
     origin, unit = box[0], float(np.ptp(box, axis=0).max()) / _LARGEST
 
     def places(values: Array) -> str:
@@ -72,6 +75,8 @@ def packed(run: RecordedRun) -> dict[str, Any]:
         'origin': origin.tolist(),
         'unit': unit,
         'box': box.tolist(),
+        'walls': walls,
+        'region': region(field).tolist(),
         'sheep': len(herd),
         'dogs': list(run.dogs),
         'x': places(x),

@@ -79,6 +79,13 @@ def draw_herd(
     axes.plot(*np.transpose(d), '^', color=RED, markersize=2 * size, label=labels[1], **common)
 
 
+def draw_walls(axes: Axes, walls: Iterable[Any], region: Any) -> None:
+    """Draw walls, polylines (K, 2) [m], and the outline (K, 2) [m] of where the flock has to be."""
+    for line in walls:
+        axes.plot(*np.transpose(line), color=GREY, linewidth=2.0)
+    axes.plot(*np.transpose(region), color=GREY, linewidth=1.0, linestyle='--')
+
+
 def number_dogs(axes: Axes, d: Any, numbers: Iterable[int]) -> None:
     """Write its number beside each dog at d (M, 2) [m], but for those without a place."""
     for place, number in zip(np.asarray(d), numbers, strict=True):

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
+from herding_ros.model.field import Field
 from herding_ros.model.flock import centre
 from herding_ros.model.state import Array
 import numpy as np
@@ -27,7 +28,7 @@ class Frame:
     x: (N, 2) sheep; d: (M, 2) dogs; headings: (M,) [rad]; numbers: (M,) of the dogs; goal: (2,)
     the destination, None if there is none; plans: (n, M', 2) where dogs are planned to go;
     expected: (n, 2) where the flock's centre is expected to go; dog_trails: (L, M, 2) and
-    centre_trail: (L, 2) where they come from.
+    centre_trail: (L, 2) where they come from; field: what stands there.
     """
 
     time: float
@@ -40,6 +41,7 @@ class Frame:
     expected: Array
     dog_trails: Array
     centre_trail: Array
+    field: Field
 
 
 class Trails:

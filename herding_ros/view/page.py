@@ -15,6 +15,7 @@ import socket
 from typing import Any
 
 from herding_ros.model.state import Array
+from herding_ros.report.walls import outlines, region
 import numpy as np
 import viser
 
@@ -185,13 +186,14 @@ class _Scene:
 
     def draw(self, frame: Frame) -> None:
         self._box = _box(frame)
-        known = (frame.numbers, frame.goal is not None)
+        known = (frame.numbers, frame.goal is not None, frame.field)
         if known != self._known:  # others, who may be far away
             self._known = known
             self._begin()
         size = self._size
         self._draw_sheep(frame)
         self._draw_dogs(frame)
+        self._draw_walls(frame)
         self._draw_lines('trails', frame.dog_trails, _RED, 0.25, rises=True)
         self._draw_lines('trail', frame.centre_trail[:, None], _BLUE, 0.5, rises=True)
         self._draw_lines('plans', frame.plans, _RED, 1.0)
@@ -277,6 +279,15 @@ class _Scene:
             if label := self._handles.get(f'dog {number}'):
                 label.position = place
 
+    def _draw_walls(self, frame: Frame) -> None:
+        for name, lines, grey in (
+            ('walls', outlines(frame.field), 60),
+            ('region', (region(frame.field),), 170),
+        ):
+            segments = [polylines(line[:, None]) for line in lines if len(line)]
+            joined = np.concatenate([np.zeros((0, 2, 2)), *segments])
+            self._draw_segments(name, joined, np.full((len(joined), 2, 3), grey, np.uint8), 4.0)
+
     def _name_dogs(self, numbers: tuple[int, ...], at: Array) -> None:
         for number in self._labels:
             if label := self._handles.pop(f'dog {number}', None):
@@ -323,7 +334,7 @@ def _placed(places: Array, height: float = 0.0) -> np.ndarray:
 def _box(frame: Frame) -> Array:
     """Return the lower left and the upper right corner (2, 2) [m] around all there is."""
     goal = np.zeros((0, 2)) if frame.goal is None else frame.goal[None]
-    everything = np.concatenate([frame.x, frame.d, goal])
+    everything = np.concatenate([frame.x, frame.d, goal, *outlines(frame.field)])
     everything = everything[np.isfinite(everything).all(axis=1)]
     box = np.array([everything.min(axis=0), everything.max(axis=0)])
     if not np.ptp(box, axis=0).any():

@@ -6,8 +6,10 @@ from __future__ import annotations
 from itertools import pairwise
 
 from herding_ros.bag.recorded_run import Array, in_play, RecordedRun
+from herding_ros.model.field import Field
 from herding_ros.model.flock import centre, spread
 from herding_ros.report.summary import distances, over_time
+from herding_ros.report.walls import field_of_run
 import numpy as np
 import viser
 
@@ -20,8 +22,8 @@ PERIOD = 0.05
 _CONTROLS = ('play', 'stop', 'from the start')
 
 
-def frame_at(run: RecordedRun, k: int) -> Frame:
-    """Return what there is to be seen in state k of a run."""
+def frame_at(run: RecordedRun, k: int, field: Field) -> Frame:
+    """Return what there is to be seen in state k of a run in a field."""
     now = float(run.times[k])
     first = int(np.searchsorted(run.times, now - TRAIL))
     past = range(first, k + 1, max((k - first) // MOST_TRAIL, 1))
@@ -37,6 +39,7 @@ def frame_at(run: RecordedRun, k: int) -> Frame:
         expected=np.zeros((0, 2)) if expected is None else expected.ahead(now),
         dog_trails=run.d[past],
         centre_trail=np.array([centre(run.x[j][run.seen[j]]) for j in past]),
+        field=field,
     )
 
 
@@ -69,6 +72,7 @@ class Playback:
     def __init__(self, run: RecordedRun, host: str, port: int, title: str) -> None:
         """Serve the page; raises what `Page` raises."""
         self._run = run
+        self._field = field_of_run(run)
         self.page = page = Page(host, port, title, curves_of(run))
         self._write = page.add_text()
         self._plays = True
@@ -100,5 +104,5 @@ class Playback:
         if shown == self._shown:
             return
         self._shown = shown
-        self.page.show(frame_at(self._run, k))
+        self.page.show(frame_at(self._run, k, self._field))
         self._write(f't {self._run.times[k]:.1f} of {end:.1f} s')

@@ -4,6 +4,7 @@
 from herding_ros.control.command_filter import CommandFilter
 from herding_ros.control.parameters import Bodies, Control, PAPER
 from herding_ros.model.bodies import closest
+from herding_ros.model.field import Field
 from herding_ros.model.motion import Accelerating, Unicycle
 from herding_ros.model.state import HerdState
 from hypothesis import given, settings
@@ -189,3 +190,39 @@ def test_two_dogs_that_have_to_turn_pass_each_other():
         d = motion.rollout(d, u[None], 0.01, 10)[-1].T
         assert np.linalg.norm(d[0, :2] - d[1, :2]) >= 0.1 - 1e-7
     assert np.linalg.norm(d[:, :2] - aims, axis=1).max() < 0.05
+
+
+def test_commands_never_bring_a_dog_too_near_to_a_wall():
+    """Random fences and obstacles, commands at full speed, each for a control period."""
+    rng = np.random.default_rng(0)
+    control = Control(bodies=Bodies(separation=0.0, margin=0.0, ramp=0.0, delay=0.0))
+    speed, period = control.max_speed, control.horizon.control_period
+    changed = kept = 0
+    for _ in range(20):
+        ends = rng.uniform(-1.0, 1.0, (10, 1, 2)) + rng.uniform(-0.3, 0.3, (10, 2, 2))
+        discs = np.append(rng.uniform(-1.0, 1.0, (3, 2)), [[0.1], [0.2], [0.3]], axis=1)
+        field = Field(fences=ends.tolist(), discs=discs.tolist())
+        d = rng.uniform(-1.0, 1.0, (40, 2))
+        d = d[field.away(d)[0].min(axis=1) > control.bodies.wall_distance][:8]
+        filter, last = CommandFilter(len(d)), np.zeros_like(d)
+        heading = rng.uniform(0.0, 2.0 * np.pi, len(d))
+        asked = speed * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        for _ in range(60):
+            herd = state(d)
+            command = filter.filtered(asked, last, herd, tuple(range(len(d))), control, field)
+            same = (command.u == asked).all(axis=1)
+            changed, kept = changed + int((~same).sum()), kept + int(same.sum())
+            d = d + period * command.u
+            last = command.u
+            assert field.away(d)[0].min() > control.bodies.wall_distance - 1e-9
+    assert min(changed, kept) > 100
+
+
+def test_a_dog_slides_along_a_wall_and_may_leave_it():
+    field = Field(fences=[[[-5.0, 0.0], [5.0, 0.0]]])
+    bodies = Bodies(separation=0.0, margin=0.0, ramp=0.0)
+    d = np.array([[0.0, bodies.wall_distance], [1.0, -bodies.wall_distance], [2.0, 1.0]])
+    asked = np.array([[0.03, -0.04], [0.0, -0.05], [0.0, -0.05]])
+    found = CommandFilter(3).filtered(asked, STAND, state(d), ALL, Control(bodies=bodies), field)
+    np.testing.assert_allclose(found.u, [[0.03, 0.0], [0.0, -0.05], [0.0, -0.05]], atol=1e-9)
+    assert found.changed

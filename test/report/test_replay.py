@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from base64 import b64decode
 from collections.abc import Callable
+from dataclasses import replace
 import io
 from pathlib import Path
 import re
@@ -12,8 +13,10 @@ import time
 from typing import Any
 
 from herding_ros.bag.recorded_run import in_play, RecordedRun, Route
+from herding_ros.model.field import Field, read_field
 from herding_ros.report.animation import save_animation
 from herding_ros.report.replay import packed, save_replay
+from herding_ros.report.walls import outlines, region
 import numpy as np
 from PIL import Image
 import pytest
@@ -97,6 +100,26 @@ def test_page_needs_nothing_but_itself(tmp_path: Path) -> None:
     page = tmp_path / 'replay.html'
     save_replay(a_run(), page)
     assert not re.search('(src|href|url|import|fetch)[=(]|https?:', page.read_text())
+
+
+def test_walls_of_a_field_that_we_ship_are_packed_and_no_file_is_read(tmp_path: Path) -> None:
+    run = a_run()
+    shipped = packed(replace(run, parameters={'/sim': {'field': 'pen'}}))
+    field, _ = read_field('pen')
+    assert shipped['walls'] == [[list(point) for point in fence] for fence in field.fences]
+    assert shipped['region'][0] == shipped['region'][-1]
+    assert shipped['box'][1][0] >= max(x for fence in field.fences for x, _ in fence)
+    own = tmp_path / 'own.yaml'
+    own.write_text('fences: [[[0, 0], [1, 1]]]')
+    assert packed(replace(run, parameters={'/sim': {'field': str(own)}}))['walls'] == []
+
+
+def test_outlines_of_obstacles_and_discs_are_closed() -> None:
+    field = Field(obstacles=(((0, 0), (1, 0), (0, 1)),), discs=((2.0, 3.0, 0.5),))
+    for line in outlines(field):
+        assert np.allclose(line[0], line[-1])
+    assert np.allclose(np.linalg.norm(outlines(field)[1] - [2.0, 3.0], axis=1), 0.5)
+    assert region(field).shape == (0, 2)
 
 
 def picture(browser: Any) -> np.ndarray:
