@@ -80,7 +80,7 @@ def draw_herd(
 
 
 def draw_walls(axes: Axes, walls: Iterable[Any], region: Any) -> None:
-    """Draw walls, polylines (K, 2) [m], and the outline (K, 2) [m] of where the flock has to be."""
+    """Draw walls, polylines (K, 2) [m], and the outline (K, 2) of where the flock has to be."""
     for line in walls:
         axes.plot(*np.transpose(line), color=GREY, linewidth=2.0)
     axes.plot(*np.transpose(region), color=GREY, linewidth=1.0, linestyle='--')
