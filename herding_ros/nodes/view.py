@@ -50,7 +50,7 @@ _LOOK_PERIOD = 0.5
 """Wall time between two looks at the graph, and between two drawings of the curves [s]."""
 
 _PATIENCE = 3.0
-"""Wall time in which a controller takes a destination [s]."""
+"""Wall time in which a controller takes a destination, or a node a value [s]."""
 
 _SILENCE = 2.0
 """Wall time without sheep after which the page says so [s]."""
@@ -132,7 +132,7 @@ class View(PageNode):
         self._queries: dict[str, ParameterQuery] = {}
         self._values: dict[str, dict[str, Any]] = {}
         self._wanted: dict[str, float] = {}
-        self._setting: set[str] = set()
+        self._setting: dict[str, float] = {}
         self._goal_wanted: tuple[Array, float] | None = None
         self._last_sheep = time.monotonic()
         self._frames = self._browsers = 0
@@ -182,6 +182,7 @@ class View(PageNode):
         self._ask_for_parameters()
         self._panel.show_time_control(self._pauses.service_is_ready())
         self._check_goal()
+        self._check_values()
         self._panel.write(self._in_words())
         self.page.draw_curves()
         self._publish_status()
@@ -217,6 +218,8 @@ class View(PageNode):
         if controlling:
             missed = counts.get('deadlines_missed', '0')
             lines.append(f'controller: {controlling}; deadlines missed: {missed}')
+            if silent_dogs := counts.get('dogs_silent'):
+                lines.append(f'silent: {silent_dogs}')
         return '  \n'.join(lines)
 
     # Parameters of other nodes.
@@ -268,7 +271,7 @@ class View(PageNode):
         self._wanted[name] = value  # of a slider that is being moved the newest counts
 
     def _set_wanted(self) -> None:
-        for name in self._wanted.keys() - self._setting:
+        for name in self._wanted.keys() - self._setting.keys():
             value = self._wanted.pop(name)
             for node, values in self._values.items():
                 if name in values:
@@ -279,12 +282,12 @@ class View(PageNode):
         if not client.service_is_ready():
             self._panel.refuse(f'{node} does not answer: {name} stays as it is')
             return
-        self._setting.add(name)
+        self._setting[name] = time.monotonic()
         parameter = Parameter(name, value=value).to_parameter_msg()
         future = client.call_async(SetParameters.Request(parameters=[parameter]))
 
         def take(_: Any) -> None:
-            self._setting.discard(name)
+            self._setting.pop(name, None)
             (result,) = future.result().results or [None]
             if result is not None and result.successful:
                 self._panel.accept()
@@ -298,6 +301,13 @@ class View(PageNode):
     def _move_goal(self, goal: Array) -> None:
         self._goals.publish(messages.pose(goal, self._herd.ns, self.settings.frame))
         self._goal_wanted = goal, time.monotonic()
+
+    def _check_values(self) -> None:
+        """Say so when a node does not answer, and ask it again only when somebody wishes."""
+        for name, asked in list(self._setting.items()):
+            if time.monotonic() > asked + _PATIENCE:
+                del self._setting[name]
+                self._panel.refuse(f'no answer: {name} may be as it was')
 
     def _check_goal(self) -> None:
         """Say so when nobody has taken a destination."""

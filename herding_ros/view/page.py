@@ -17,9 +17,13 @@ from typing import Any
 from herding_ros.model.state import Array
 from herding_ros.report.walls import outlines, region
 import numpy as np
-import viser
 
 from .frame import Curve, Frame
+
+try:
+    import viser
+except ModuleNotFoundError as error:  # it has no rosdep key
+    raise ModuleNotFoundError('the view needs viser: pip install viser') from error
 
 _BLUE, _RED, _GREY, _BLACK = (33, 102, 172), (194, 41, 43), (95, 99, 104), (0, 0, 0)
 _LIT_RED = (255, 30, 30)
