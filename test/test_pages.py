@@ -26,6 +26,7 @@ from herding_ros.nodes.settings import (
     MotionKind,
     RecorderSettings,
     SimSettings,
+    ViewSettings,
 )
 import pytest
 
@@ -112,6 +113,7 @@ def section() -> str:
         table('controller: the node', rows(ControllerSettings())),
         table('controller: the method', control_rows()),
         table('recorder', rows(RecorderSettings())),
+        table('view', rows(ViewSettings())),
     ]
     return '\n' + '\n'.join(tables) + '\n'
 

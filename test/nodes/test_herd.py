@@ -30,7 +30,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-NEXT = (('look at', 'trajectories.png'), ('draw again: report', 'bag'))
+NEXT = (
+    ('look at', 'trajectories.png'),
+    ('open in a browser:', 'replay.html'),
+    ('draw again: report', 'bag'),
+)
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
 LARGE = 1600
 OF_RCLPY = ('/rosout', '/parameter_events')
