@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 import numpy as np
 
-from .style import BLUE, draw_goal, draw_herd, draw_paths, GREY, save
-from .summary import arrival, initial_spread, over_time
+from .style import BLUE, draw_goal, draw_herd, draw_paths, draw_walls, GREY, save
+from .summary import arrival, field, initial_spread, over_time
 
 
 def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
@@ -46,6 +46,7 @@ def _distances(run: RecordedRun) -> Array:
 
 
 def _draw_map(axes: Axes, run: RecordedRun) -> None:
+    draw_walls(axes, field(run)[0])
     draw_paths(axes, run.d, over_time(centre, run), 'centre of the flock')
     for k, alpha, when in ((0, 0.3, 'start'), (-1, 1.0, 'end')):
         x, d = run.x[k][run.seen[k]], run.d[k][np.isfinite(run.d[k, :, 0])]

@@ -7,9 +7,11 @@ import os
 from pathlib import Path
 from typing import Any
 
+from herding_ros.model.field import Field
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 import numpy as np
 
 # Blue and red of this lightness stay apart with any kind of colour vision, and in grey.
@@ -51,6 +53,19 @@ def draw_paths(axes: Axes, dogs: Any, centre: Any, label: str | None = None) -> 
     for m in range(np.shape(dogs)[1]):
         axes.plot(*np.asarray(dogs)[:, m].T, color=RED, linewidth=0.8, alpha=0.6)
     axes.plot(*np.transpose(centre), color=BLUE, linewidth=1.6, label=label)
+
+
+def draw_walls(axes: Axes, field: Field) -> None:
+    """Draw fences, obstacles and discs, and the region that has to hold all sheep."""
+    if len(field.goal) > 2:
+        axes.fill(*np.transpose(field.goal), color=GREY, alpha=0.12, linewidth=0)
+    for corners in field.obstacles:
+        axes.fill(*np.transpose(corners), color=GREY, alpha=0.5, linewidth=0)
+    for ax, ay, bx, by, radius in field.bars:
+        if radius:
+            axes.add_patch(Circle((ax, ay), radius, color=GREY, alpha=0.5, linewidth=0))
+        else:
+            axes.plot([ax, bx], [ay, by], color='black', linewidth=1.5, solid_capstyle='round')
 
 
 def draw_herd(
