@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import herding_ros
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / 'examples').glob('*.py'))
@@ -79,6 +80,7 @@ def requirements(name: str) -> dict[str, str]:
         ('requirements.lock', ['requirements.txt', 'requirements-ros.txt']),
         ('requirements-cluster.lock', ['requirements-cluster.txt']),
         ('requirements-audit.lock', ['requirements-audit.txt']),
+        ('requirements-site.lock', ['requirements-site.txt']),
     ],
 )
 def test_every_requirement_is_locked(lock: str, sources: list[str]) -> None:
@@ -94,7 +96,19 @@ def test_every_requirement_is_locked(lock: str, sources: list[str]) -> None:
 
 def test_the_version_is_that_of_the_manifest() -> None:
     manifest = ElementTree.parse(ROOT / 'package.xml')
-    assert manifest.findtext('version') == herding_ros.__version__
+    version = manifest.findtext('version')
+    assert version == herding_ros.__version__
+    assert f'\nversion: {version}\n' in (ROOT / 'CITATION.cff').read_text('utf-8')
+    assert f'version = {{{version}}}' in (ROOT / 'doc' / 'cite.md').read_text('utf-8')
+
+
+@pytest.mark.parametrize('path', (ROOT / '.github' / 'ISSUE_TEMPLATE').glob('[!c]*.yml'))
+def test_issue_templates_are_forms(path: Path) -> None:
+    form = yaml.safe_load(path.read_text(encoding='utf-8'))
+    assert {'name', 'description', 'body'} <= form.keys()
+    questions = [part for part in form['body'] if part['type'] != 'markdown']
+    assert all(part['attributes']['label'] for part in questions)
+    assert len({part['id'] for part in questions}) == len(questions)
 
 
 def printed_by(name: str, folder: Path) -> str:

@@ -15,11 +15,13 @@ from typing import Any
 
 from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.motion import MOTIONS
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import World
 from herding_ros.nodes.settings import (
     ControllerSettings,
     ControlPreset,
+    MotionKind,
     RecorderSettings,
     SimSettings,
 )
@@ -65,6 +67,13 @@ def crowd_rows() -> Iterator[Row]:
                 yield name, f'(`{preset}`: {default})', *rest
 
 
+def motion_rows() -> Iterator[Row]:
+    yield from rows(MotionKind(), 'motion.')
+    for kind, motion in MOTIONS.items():
+        for name, default, *rest in rows(motion, 'motion.'):
+            yield name, f'(`{kind}`: {default})', *rest
+
+
 def control_rows() -> Iterator[Row]:
     yield from rows(ControlPreset())
     yield from rows(Control(), others=CONTROLS)
@@ -95,6 +104,7 @@ def section() -> str:
     assert Crowd() == CROWDS['cohesive']
     tables = [
         table('sim and controller: the sheep', crowd_rows()),
+        table('sim and controller: how dogs move', motion_rows()),
         table('sim: the world', rows(World())),
         table('sim: the node', rows(SimSettings())),
         table('controller: the node', rows(ControllerSettings())),

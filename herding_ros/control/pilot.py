@@ -16,7 +16,7 @@ from typing import Protocol
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.field import field_of
-from herding_ros.model.motion import Holonomic
+from herding_ros.model.motion import Obedient
 from herding_ros.model.state import Array, finite, HerdState
 import numpy as np
 from numpy.typing import NDArray
@@ -285,7 +285,7 @@ class Pilot:
     def _filtered(self, asked: Array, estimate: Observed) -> Array:
         """Return the commands (M, 2) [m/s] for those that a plan asks for; count and say why."""
         control, field = self._control, field_of(self._crowd)
-        if keeps_distances(control, field) and not isinstance(control.motion, Holonomic):
+        if keeps_distances(control, field) and not isinstance(control.motion, Obedient):
             self._say(
                 'warning',
                 'dogs are not kept apart: bodies.separation and bodies.sheep_distance are for '

@@ -7,7 +7,9 @@ import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import takewhile
+import shutil
 import sys
+import textwrap
 from typing import NoReturn
 
 from herding_ros.control.parameters import Control
@@ -17,6 +19,9 @@ from herding_ros.model.simulation import World
 
 from .settings import ControllerSettings, RecorderSettings, SimSettings
 from .signals import END_WITH_STDIN, end_with_stdin
+
+_SHORTEST_MEANING = 30
+"""Least room for the meanings in a table of parameters [columns]."""
 
 _Row = tuple[str, str, str]
 """Name, default with its unit, and meaning of a parameter."""
@@ -92,9 +97,10 @@ def _parser(node: str) -> _Parser:
         prog=node,
         usage=f'{node} [-h] [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]',
         description=said.description,
-        epilog=f'{said.topics}\n\nsome parameters (`ros2 param describe /{node}` has all):\n'
-        + _table(_rows(said))
-        + f'\n\nexample:\n  {said.example}',
+        epilog='\n'.join(map(_wrapped, said.topics.splitlines()))
+        + '\n\n'
+        + _wrapped(f'some parameters (`ros2 param describe /{node}` has all):')
+        + f'\n{_table(_rows(said))}\n\nexample:\n  {said.example}',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
@@ -130,11 +136,30 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _table(parameters: list[_Row]) -> str:
+    """Return a table; where there is no room for one, the meanings are below the names."""
     widths = [max(len(row[i]) for row in parameters) for i in (0, 1)]
+    start = sum(widths) + 6
+    if start + _SHORTEST_MEANING <= _width():
+        return '\n'.join(
+            _wrapped(meaning, f'  {name:<{widths[0]}}  {default:<{widths[1]}}  ', start * ' ')
+            for name, default, meaning in parameters
+        )
     return '\n'.join(
-        f'  {name:<{widths[0]}}  {default:<{widths[1]}}  {meaning}'
+        f'  {name}  {default}\n' + _wrapped(meaning, 6 * ' ', 6 * ' ')
         for name, default, meaning in parameters
     )
+
+
+def _wrapped(text: str, first: str = '', others: str = 4 * ' ') -> str:
+    """Return a text in lines that fit the terminal, with indents; no word is broken."""
+    return textwrap.fill(
+        text, _width(), initial_indent=first, subsequent_indent=others, break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip
+
+
+def _width() -> int:
+    return shutil.get_terminal_size().columns
 
 
 def _written(value: object) -> str:

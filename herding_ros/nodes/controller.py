@@ -19,6 +19,7 @@ from herding_ros.control.pilot import Announcement, Decision, dog_name
 from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import Status
+from herding_ros.model.motion import steered_ahead
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 from nav_msgs.msg import Path
@@ -77,7 +78,7 @@ class Controller(HerdingNode):
             self._pilot = LockstepPilot(planner, settings.dogs)
         else:
             self._pilot = RealTimePilot(planner, settings.dogs, settings, self._seconds)
-        self.load_kernels(partial(warm_up, crowd))
+        self.load_kernels(partial(warm_up, crowd, control.motion))
         self._mismatches = Mismatches(self)
         self._create_publishers()
         self.follow([('crowd.', crowd), ('', control)], self._pilot.adjust)
@@ -198,12 +199,12 @@ class Controller(HerdingNode):
             _LOG[event.level](self.get_logger(), event.text)
 
     def _publish_command(self, u: Array, ns: int) -> None:
-        headings = self._observations.headings
+        headings, ahead = self._observations.headings, steered_ahead(self._control.motion)
         for m, publisher in enumerate(self._commands):
             if publisher.msg_type is TwistStamped:
-                publisher.publish(messages.command(u[m], headings[m], m + 1, ns))
+                publisher.publish(messages.command(u[m], headings[m], m + 1, ns, ahead))
             else:
-                publisher.publish(messages.twist(u[m], headings[m]))
+                publisher.publish(messages.twist(u[m], headings[m], ahead))
 
     def _publish_plan(self, announcement: Announcement) -> None:
         """Publish a plan and the paths that it is expected to lead to."""

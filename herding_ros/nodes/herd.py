@@ -17,6 +17,7 @@ from typing import Any
 from herding_ros.control.lead import FASTEST, lead_at, SLOWEST
 from herding_ros.model.field import read_field, shipped_fields
 from herding_ros.model.flock import MOST_STRAYS
+from herding_ros.model.kernel_cache import has_kernels
 from herding_ros.model.parameters import LARGE, TINY
 from herding_ros.model.scenario import GOAL, MOST_DOGS, MOST_SHEEP
 from herding_ros.programs import INTERRUPTED
@@ -34,6 +35,10 @@ _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED = 0, 1, 2, 3
 
 _FOR_PARAMETERS = 30.0
 """Longest time after a run in which the recorder may receive the nodes' parameters [s]."""
+
+
+_NEXT = (('look at', 'trajectories.png'), ('draw again: report', 'bag'))
+"""What to do with the files of a run."""
 
 
 def _number(kind: type[int] | type[float], low: float, high: float) -> Callable[[str], float]:
@@ -295,6 +300,8 @@ def main(args: list[str] | None = None) -> int:
     )
     if names := sorted(set().union(*options.values.values()) & _OWN - {'use_sim_time'}):
         console.print(f'herd itself sets {", ".join(names)}: what a file says does not count')
+    if not has_kernels():
+        console.print('kernels are compiled first, once, for up to a minute; see log/')
     code = _run(options, logs, console)
     if (options.out / 'bag').exists():
         from herding_ros.report.cli import write_report  # it takes a second to load: not before
@@ -303,7 +310,21 @@ def main(args: list[str] | None = None) -> int:
             write_report(options.out / 'bag', options.out, console)
         except (OSError, ValueError) as error:
             console.print(f'no report: {error}', style='red', soft_wrap=True)
+    if code in (_ARRIVED, _TIMED_OUT):
+        _tell_what_next(options, code, console)
     return code
+
+
+def _tell_what_next(options: argparse.Namespace, code: int, console: Console) -> None:
+    """Say what to do after a run, in lines for 40 columns where the folder's name is short."""
+    folder = os.path.relpath(options.out)
+    lines = [f'{what} {folder}/{name}' for what, name in _NEXT if (options.out / name).exists()]
+    if code == _TIMED_OUT:
+        lines.append('why flocks do not arrive: doc/troubleshooting.md')
+    lines.append(f'another flock: --seed {options.values["sim"]["seed"] + 1}')
+    console.print(
+        'next:', *(f'  {line}' for line in lines), sep='\n', markup=False, soft_wrap=True
+    )
 
 
 if __name__ == '__main__':

@@ -8,6 +8,7 @@ import dataclasses
 from herding_ros.control.lead import FASTEST, SLOWEST
 from herding_ros.control.parameters import CONTROLS, Timing
 from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.motion import MotionModel, MOTIONS
 from herding_ros.model.parameters import Parameters, quantity, TINY
 from herding_ros.model.scenario import GOAL, MOST_DOGS
 
@@ -123,6 +124,24 @@ class CrowdPreset(Parameters):
     def crowd(self) -> Crowd:
         """The crowd whose values are the defaults."""
         return CROWDS[self.preset].rescaled(self.length, self.time)
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionKind(Parameters):
+    """Which motion dogs have; its own parameters are declared with it."""
+
+    kind: str = quantity(
+        'holonomic',
+        'how dogs move: with the velocity that is commanded at once (holonomic); within what '
+        'motion.acceleration allows (accelerating); or ahead and back, and where else only after '
+        'turning (unicycle)',
+        choices=tuple(MOTIONS),
+    )
+
+    @property
+    def motion(self) -> MotionModel:
+        """The motion with its default values."""
+        return MOTIONS[self.kind]
 
 
 @dataclasses.dataclass(frozen=True)

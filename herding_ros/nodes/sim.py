@@ -15,6 +15,7 @@ from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up_rollout
 from nav_msgs.msg import Odometry
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -62,7 +63,7 @@ class Sim(HerdingNode):
         self._settings = settings = declare(self, SimSettings())
         crowd, goal = in_field(declare_crowd(self), settings)
         world = declare_scaled(self, World(), crowd)
-        self.load_kernels(partial(warm_up_rollout, crowd))
+        self.load_kernels(partial(warm_up_rollout, crowd, world.motion))
         start = None
         if settings.start_from:
             start = read_start(Path(settings.start_from).expanduser(), settings.start_at)
@@ -72,8 +73,9 @@ class Sim(HerdingNode):
         self._pace: Pace | None = None
         self._create_publishers(world.dogs)
         self._commands = DogCommands(
-            self, settings, world.dogs, world.max_speed, settings.command_timeout, self._refused
-        )
+            self, settings, world.dogs, world.max_speed, world.motion, settings.command_timeout,
+            self._refused,
+        )  # fmt: skip
         self._mismatches = Mismatches(self)
         if not settings.lockstep:
             self._mismatches.follow(self._commands.inboxes)
@@ -167,7 +169,12 @@ class Sim(HerdingNode):
     # What goes out.
 
     def _advance(self, u: Array) -> None:
-        self._run.advance(u)
+        """Move on under commands u (M, 2) [m/s] in the body frames of the dogs."""
+        simulation = self._run.simulation
+        _, headings, _ = simulation.world.motion.odometry(simulation.state.d, u)
+        self._run.advance(
+            np.array([messages.turned(*each) for each in zip(u, -headings, strict=True)])
+        )
         if self._run.finished:
             log = self.get_logger()
             if self._run.failed:

@@ -20,6 +20,9 @@ from rich.text import Text
 from .figures import save_trajectories
 from .summary import summarise
 
+_WIDTH_WITH_TYPES = 72
+"""Least width of a terminal for a table with the types of topics [columns]."""
+
 
 def write_report(
     bag: str | os.PathLike[str],
@@ -39,7 +42,7 @@ def write_report(
     picture, numbers = folder / 'trajectories.png', folder / 'summary.json'
     save_trajectories(run, picture)
     numbers.write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
-    console.print(_table(run))
+    console.print(_table(run, console.width))
     console.print(_in_words(summary), highlight=False)
     for note in summary['notes']:
         console.print(f'note: {note}', highlight=False, markup=False, soft_wrap=True)
@@ -47,14 +50,18 @@ def write_report(
     return summary
 
 
-def _table(run: RecordedRun) -> Table:
+def _table(run: RecordedRun, width: int) -> Table:
+    """Return the table of topics: their names always whole, their types where there is room."""
+    has_types = width >= _WIDTH_WITH_TYPES
     table = Table(box=None, header_style='bold', pad_edge=False)
-    table.add_column('topic')
-    table.add_column('type', overflow='fold')
+    table.add_column('topic', overflow='fold')
+    if has_types:
+        table.add_column('type', overflow='fold')
     table.add_column('messages', justify='right')
     table.add_column('rate [Hz]', justify='right')
     for topic in run.topics:
-        named = (Text(printable(name)) for name in (topic.name, topic.type))
+        names = (topic.name, topic.type) if has_types else (topic.name,)
+        named = (Text(printable(name)) for name in names)
         table.add_row(*named, str(topic.count), f'{topic.rate:.1f}')
     return table
 

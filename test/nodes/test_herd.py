@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import json
+import os
 from pathlib import Path
 import re
 import signal
@@ -29,6 +30,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+NEXT = (('look at', 'trajectories.png'), ('draw again: report', 'bag'))
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
 LARGE = 1600
 OF_RCLPY = ('/rosout', '/parameter_events')
@@ -84,7 +86,10 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
     )
     assert expected.arrived
     out = tmp_path / 'out'
-    assert start('herd', *OPTIONS, '--out', str(out)).wait() == 0
+    process = start('herd', *OPTIONS, '--out', str(out))
+    assert process.wait() == 0
+    assert all(f'{what} {os.path.relpath(out / name)}' in process.log for what, name in NEXT)
+    assert process.log.endswith(f'another flock: --seed {SEED + 1}\n')
     messages = read(out / 'bag')
     x = np.array([positions(cloud) for cloud in messages['/truth/sheep']])
     assert np.array_equal(x, expected.x.astype(np.float32))
@@ -141,6 +146,7 @@ def test_large_flock_is_herded_as_in_the_loop_without_ros(
     out = tmp_path / 'out'
     process = start('herd', *options, '--time-limit', '1', '--out', str(out))
     assert process.wait() == 1, process.log  # time ran out
+    assert 'why flocks do not arrive: doc/troubleshooting.md' in process.log
     messages = read(out / 'bag')
     x = np.array([positions(cloud) for cloud in messages['/truth/sheep']])
     assert np.array_equal(x, expected.x.astype(np.float32))

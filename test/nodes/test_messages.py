@@ -669,6 +669,26 @@ def test_command_to_an_aligned_dog_keeps_every_bit(u: np.ndarray, big: bool) -> 
     assert np.array_equal(messages.twist_in(data, SPEED), u)
 
 
+def test_a_dog_that_has_to_turn_is_told_speed_and_turn_rate() -> None:
+    """It looks along +y; a point 0.1 m ahead of it is to move along (0.03, 0.02) in the map."""
+    data = messages.command(np.array([0.03, 0.02]), math.pi / 2, 1, 7, 0.1)
+    message = deserialize_message(data, TwistStamped).twist
+    assert message.linear.x == pytest.approx(0.02)
+    assert message.linear.y == 0.0
+    assert message.angular.z == pytest.approx(-0.3)  # to the right
+    for found in (
+        messages.command_in(data, 1, 'map', SPEED, 0.1)[1],
+        messages.twist_in(
+            serialize_message(messages.twist(np.array([0.03, 0.02]), math.pi / 2, 0.1)), SPEED, 0.1
+        ),
+    ):
+        assert messages.turned(found, -math.pi / 2) == pytest.approx((0.03, 0.02))
+    quick = serialize_message(Twist(angular=Vector3(z=1.0)))
+    with pytest.raises(Refused, match=r'at most 0\.05 m/s at the point that is steered, got 0\.1'):
+        messages.twist_in(quick, SPEED, 0.1)
+    assert not messages.twist_in(quick, SPEED).any()
+
+
 @given(turns, turns)
 def test_full_speed_is_not_too_fast_in_any_direction(direction: float, heading: float) -> None:
     u = SPEED * np.array([math.cos(direction), math.sin(direction)])

@@ -302,6 +302,18 @@ def test_report_says_how_many_messages_were_lost(
     assert ('lost' in text) == bool(lost)
 
 
+@pytest.mark.parametrize('width', [40, 80])
+def test_topics_are_whole_on_any_terminal(
+    width: int, run: RecordedRun, tmp_path: Path, run_recorder: Any
+) -> None:
+    out = StringIO()
+    bag = bag_of(run, tmp_path / 'bag', run_recorder)
+    write_report(bag, tmp_path, Console(file=out, width=width))
+    shown = out.getvalue().split()
+    assert {'/truth/sheep', '/truth/dog_1/odom', '/truth/dog_2/odom', '/diagnostics'} < set(shown)
+    assert ('sensor_msgs/msg/PointCloud2' in shown) == (width == 80)
+
+
 def test_program_writes_beside_the_bag(
     run: RecordedRun, tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:

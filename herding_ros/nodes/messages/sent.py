@@ -78,10 +78,13 @@ def _odometry(m: int, frame: str) -> Template:
     return Template(message, _ODOMETRY)
 
 
-def command(u: Array, heading: float, m: int, ns: int) -> bytes:
-    """Velocity u (2,) [m/s] in the map as a TwistStamped in the body frame of dog m."""
+def command(u: Array, heading: float, m: int, ns: int, ahead: float | None = None) -> bytes:
+    """Velocity u (2,) [m/s] in the map as a TwistStamped in the body frame of dog m.
+
+    ahead: of a dog that has to turn, how far ahead of it [m] the velocity is; None: it need not.
+    """
     template = _command(m)
-    template.numbers['linear'][:2] = turned(u, heading)
+    template.numbers['linear'][:2], template.numbers['angular'][2] = _body(u, heading, ahead)
     return template.stamped(ns)
 
 
@@ -90,10 +93,16 @@ def _command(m: int) -> Template:
     return Template(TwistStamped(header=Header(frame_id=dog_frame(m))), _COMMAND)
 
 
-def twist(u: Array, heading: float) -> Twist:
-    """Velocity u (2,) [m/s] in the map as a command in the body frame of a dog."""
+def twist(u: Array, heading: float, ahead: float | None = None) -> Twist:
+    """Velocity u (2,) [m/s] in the map as a command in the body frame of a dog; see `command`."""
+    (x, y), turn = _body(u, heading, ahead)
+    return Twist(linear=Vector3(x=x, y=y), angular=Vector3(z=turn))
+
+
+def _body(u: Array, heading: float, ahead: float | None) -> tuple[tuple[float, float], float]:
+    """Return the linear velocity (x, y) [m/s] and the turn rate [rad/s] that a dog is told."""
     x, y = turned(u, heading)
-    return Twist(linear=Vector3(x=x, y=y))
+    return ((x, y), 0.0) if ahead is None else ((x, 0.0), y / ahead)
 
 
 def trajectory(plan: Plan, dogs: Array, names: tuple[str, ...], ns: int, frame: str) -> bytes:

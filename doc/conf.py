@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the site that scripts/site builds from these pages."""
+
+from pathlib import Path
+import sys
+from xml.etree import ElementTree
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+manifest = ElementTree.parse(ROOT / 'package.xml')
+project = 'herding_ros'
+author = manifest.findtext('maintainer')
+copyright = f'{author}, Apache-2.0'
+version = release = manifest.findtext('version')
+
+extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.mathjax', 'sphinxcontrib.mermaid']
+root_doc = 'index'
+exclude_patterns = ['_build']
+
+# The pages are those that GitHub shows, which knows these two without a directive.
+myst_enable_extensions = ['dollarmath']
+myst_fence_as_directive = ['mermaid']
+myst_heading_anchors = 4
+suppress_warnings = ['myst.header']  # pages of studies begin their sections at the third level
+
+autodoc_member_order = 'bysource'
+autodoc_preserve_defaults = True
+default_role = 'code'
+
+html_theme = 'furo'
+html_title = f'herding_ros {version}'
+html_show_sphinx = False
+
+
+def take_as_plain_text(_app, _what, _name, _object, _options, lines):
+    """Leave bars of absolute values alone, which would begin a substitution."""
+    lines[:] = [line.replace('|', r'\|') for line in lines]
+
+
+def setup(app):
+    """Connect to Sphinx."""
+    app.connect('autodoc-process-docstring', take_as_plain_text)
