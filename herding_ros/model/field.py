@@ -100,6 +100,17 @@ class Field:
         return np.array([*straight, *round_], dtype=np.float64).reshape(-1, 5)
 
     @cached_property
+    def outline(self) -> Array:
+        """All walls as straight pieces (n, 2, 2) [m] for drawing; discs have 32 sides."""
+        angles = np.linspace(0.0, 2.0 * np.pi, 33)
+        circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        pieces: list[Array] = [self.bars[self.bars[:, 4] == 0.0, :4].reshape(-1, 2, 2)]
+        for x, y, radius in self.discs:
+            ring = np.array([x, y]) + radius * circle
+            pieces.append(np.stack([ring[:-1], ring[1:]], axis=1))
+        return np.concatenate(pieces)
+
+    @cached_property
     def walls(self) -> Geometry:
         """All walls as one geometry."""
         import shapely  # a program's help needs none

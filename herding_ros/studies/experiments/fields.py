@@ -19,6 +19,7 @@ from herding_ros.control.solve_report import SolveReport
 from herding_ros.control.ways import Ways
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.field import Field, read_field
+from herding_ros.model.motion import MOTIONS
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -119,10 +120,13 @@ def _herd(values: dict[str, Any]) -> tuple[Crowd, World, Control]:
     """Return crowd, world and controller with the parameters of a field."""
     left = dict(values)
     crowd = CROWDS[left.pop('crowd.preset', 'cohesive')]
+    motion = MOTIONS[left.pop('motion.kind', 'holonomic')]
     speed = left.pop('max_speed', Control().max_speed)
     scale = Scale.of(crowd, speed)
-    world = replace(scale.apply(World()), max_speed=speed).with_values(left)
-    return crowd, world, replace(scale.apply(Control()), max_speed=speed)
+    control = replace(scale.apply(Control(motion=motion)), max_speed=speed)
+    world = replace(scale.apply(World(motion=motion)), max_speed=speed)
+    shared = {name: value for name, value in left.items() if name.startswith('motion.')}
+    return crowd, world.with_values(left), control.with_values(shared)
 
 
 def crossings(field: Field, x: Array) -> int:
