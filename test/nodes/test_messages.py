@@ -28,6 +28,7 @@ from geometry_msgs.msg import (
 )
 from herding_ros.checks import check_goal, Refused
 from herding_ros.control.plan import Plan
+from herding_ros.model.field import Field
 from herding_ros.nodes import messages
 from herding_ros.nodes import refusals as refusals_module
 from herding_ros.nodes.refusals import Refusals
