@@ -10,6 +10,7 @@ import sys
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.field import field_of
 from herding_ros.model.flock import distance, spread
 from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
@@ -104,6 +105,9 @@ class Sim(HerdingNode):
         self._sheep = publish(PointCloud2, 'sheep')
         self._dogs = [publish(Odometry, f'dog_{m}/odom') for m in numbers]
         self._true_dogs = [publish(Odometry, f'truth/dog_{m}/odom') for m in numbers]
+        # All at once, for viewers that draw clouds.
+        self._dog_cloud = publish(PointCloud2, 'dogs')
+        self._true_dog_cloud = publish(PointCloud2, 'truth/dogs')
         self._markers = publish(MarkerArray, 'markers')
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
 
@@ -111,6 +115,7 @@ class Sim(HerdingNode):
         """Publish the first state once its subscribers are matched."""
         settings, sensors = self._settings, [self._sheep, *self._dogs]
         everything = [*sensors, self._true_sheep, *self._true_dogs]
+        everything += [self._dog_cloud, self._true_dog_cloud]
         everything += [self._tick, self._markers, self._diagnostics]
         needs_commands = settings.lockstep or settings.wait_for
         if needs_commands and not self._commands.come_from_listeners(sensors):
@@ -196,27 +201,35 @@ class Sim(HerdingNode):
         ns, true, u = simulation.nanoseconds, simulation.state, simulation.dog_velocities
         seen = simulation.observe()
         self._tick.publish(ClockMessage(clock=messages.stamp_of(ns)))
-        self._publish_dogs(self._dogs, seen.state.d, seen.dog_velocities)
+        self._publish_dogs(self._dogs, self._dog_cloud, seen.state.d, seen.dog_velocities)
         self._sheep.publish(messages.cloud(seen.state.x, seen.state.v, ns, frame))
         self._true_sheep.publish(messages.cloud(true.x, true.v, ns, frame))
-        self._publish_dogs(self._true_dogs, true.d, u)
+        self._publish_dogs(self._true_dogs, self._true_dog_cloud, true.d, u)
         if simulation.periods % _PERIODS_PER_MARKER == 0:
             goal = self._run.goal
             self._markers.publish(
                 messages.marker_array(
-                    true.x, true.dogs, goal, self._run.world.arrival.radius, ns, frame
+                    true.x,
+                    true.dogs,
+                    goal,
+                    self._run.world.arrival.radius,
+                    ns,
+                    frame,
+                    field_of(simulation.crowd).outline,
                 )
             )
 
-    def _publish_dogs(self, publishers: list[Publisher], d: Array, u: Array) -> None:
+    def _publish_dogs(
+        self, publishers: list[Publisher], cloud: Publisher, d: Array, u: Array
+    ) -> None:
         """Publish odometry of dogs in states d (M, S) with velocities u (M, 2) [m/s]."""
         simulation, frame = self._run.simulation, self._settings.frame
-        dogs = zip(*simulation.world.motion.odometry(d, u), strict=True)
-        for m, (publisher, dog) in enumerate(zip(publishers, dogs, strict=True), start=1):
-            position, heading, velocity = dog
-            publisher.publish(
-                messages.odometry(position, velocity, m, simulation.nanoseconds, frame, heading)
-            )
+        ns = simulation.nanoseconds
+        places, headings, velocities = simulation.world.motion.odometry(d, u)
+        dogs = zip(publishers, places, headings, velocities, strict=True)
+        for m, (publisher, place, heading, velocity) in enumerate(dogs, start=1):
+            publisher.publish(messages.odometry(place, velocity, m, ns, frame, heading))
+        cloud.publish(messages.cloud(places, velocities, ns, frame, first=1))
 
     def _publish_diagnostics(self) -> None:
         simulation, goal = self._run.simulation, self._run.goal
