@@ -377,7 +377,7 @@ def main(args: list[str] | None = None) -> int:
 
 def _tell_what_next(options: argparse.Namespace, code: int, console: Console) -> None:
     """Say what to do after a run, in lines for 40 columns where the folder's name is short."""
-    folder = os.path.relpath(options.out)
+    folder = min(os.path.relpath(options.out), str(options.out), key=len)
     lines = [f'{what} {folder}/{name}' for what, name in _NEXT if (options.out / name).exists()]
     if code == _TIMED_OUT:
         lines.append('why flocks do not arrive: doc/troubleshooting.md')

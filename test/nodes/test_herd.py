@@ -92,7 +92,8 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
     out = tmp_path / 'out'
     process = start('herd', *OPTIONS, '--out', str(out))
     assert process.wait() == 0
-    assert all(f'{what} {os.path.relpath(out / name)}' in process.log for what, name in NEXT)
+    folder = min(os.path.relpath(out), str(out), key=len)
+    assert all(f'{what} {folder}/{name}' in process.log for what, name in NEXT)
     assert process.log.endswith(f'another flock: --seed {SEED + 1}\n')
     messages = read(out / 'bag')
     x = np.array([positions(cloud) for cloud in messages['/truth/sheep']])
