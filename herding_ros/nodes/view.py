@@ -60,7 +60,7 @@ _SOME = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 _NODES = ('sim', 'controller')
 
-_NICE = 10
+_NICE = 5
 """A picture gives way to decisions on a busy machine."""
 
 
