@@ -303,7 +303,8 @@ class Pilot:
             )
         if command.changed:
             self.commands_changed += 1
-            self._say('info', 'commands are changed to keep dogs apart; they are counted')
+            walls = ' and off walls' if len(field.bars) else ''
+            self._say('info', f'commands are changed to keep dogs apart{walls}; they are counted')
         return command.u
 
     def _announce(self, plan: ScheduledPlan, margin: float) -> Announcement:

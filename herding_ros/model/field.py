@@ -100,6 +100,17 @@ class Field:
         return np.array([*straight, *round_], dtype=np.float64).reshape(-1, 5)
 
     @cached_property
+    def outline(self) -> Array:
+        """All walls as straight pieces (n, 2, 2) [m] for drawing; discs have 32 sides."""
+        angles = np.linspace(0.0, 2.0 * np.pi, 33)
+        circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        pieces: list[Array] = [self.bars[self.bars[:, 4] == 0.0, :4].reshape(-1, 2, 2)]
+        for x, y, radius in self.discs:
+            ring = np.array([x, y]) + radius * circle
+            pieces.append(np.stack([ring[:-1], ring[1:]], axis=1))
+        return np.concatenate(pieces)
+
+    @cached_property
     def walls(self) -> Geometry:
         """All walls as one geometry."""
         import shapely  # a program's help needs none
@@ -267,6 +278,9 @@ def _points(name: str, value: object, least: int, size: int) -> tuple[Any, ...]:
 
 _SHIPPED = Path(__file__).with_name('fields')
 
+_LARGEST = 1_000_000
+"""A bag, which may come from anybody, names the file; to read it must not take for ever."""
+
 
 def shipped_fields() -> list[str]:
     """Return the names of the fields that come with the package."""
@@ -284,6 +298,8 @@ def read_field(name: str) -> tuple[Field, dict[str, Any]]:
     shipped = name in shipped_fields()
     file = _SHIPPED / f'{name}.yaml' if shipped else Path(name).expanduser()
     try:
+        if not (file.is_file() and file.stat().st_size <= _LARGEST):
+            raise ValueError(f'it must be a file of at most {_LARGEST} bytes')
         content = yaml.safe_load(file.read_text(encoding='utf-8'))
         field = Field.of(content)
         parameters = content.get('parameters') or {}

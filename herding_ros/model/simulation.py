@@ -111,7 +111,8 @@ class Simulation:
         self.closest_dogs = closest(self.state.dogs[None])
         """The smallest distance there was between two dogs [m]; infinite for a single dog."""
         self.initial_spread = float(spread(single(self.flock)))
-        self._periods_held = 0
+        self._held_since: int | None = None
+        self._note_who_is_inside()
         field_of(crowd).check_clear(self.state, world.bodies.radius)
         self._process, self._sensor = flock.spawn(2)
 
@@ -139,8 +140,10 @@ class Simulation:
         """
         x, when, field = single(self.state.x), self.world.arrival, field_of(self.crowd)
         if field.is_judge(self.goal):
-            held = self._periods_held * self.control_period
-            return field.holds(self.flock) and held > field.hold - 0.5 * self.control_period
+            if self._held_since is None:
+                return False
+            held = (self.periods - self._held_since) * self.control_period
+            return held > field.hold - 0.5 * self.control_period
         return arrived(x, self.goal, self.initial_spread, when)
 
     def advance(self, u: Array) -> None:
@@ -161,8 +164,14 @@ class Simulation:
         self.state = state
         self.dog_velocities = u
         self.periods += 1
-        held = field_of(self.crowd).holds(self.flock)
-        self._periods_held = self._periods_held + 1 if held else 0
+        self._note_who_is_inside()
+
+    def _note_who_is_inside(self) -> None:
+        """Keep the control period since which the region of the field has held the flock."""
+        if not field_of(self.crowd).holds(self.flock):
+            self._held_since = None
+        elif self._held_since is None:
+            self._held_since = self.periods
 
     def _count_touches(self, dogs: Array) -> None:
         radius, before = self.world.bodies.radius, self.state.dogs[None]

@@ -10,6 +10,7 @@ import sys
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.field import field_of
 from herding_ros.model.flock import distance, spread
 from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
@@ -209,7 +210,13 @@ class Sim(HerdingNode):
             goal = self._run.goal
             self._markers.publish(
                 messages.marker_array(
-                    true.x, true.dogs, goal, self._run.world.arrival.radius, ns, frame
+                    true.x,
+                    true.dogs,
+                    goal,
+                    self._run.world.arrival.radius,
+                    ns,
+                    frame,
+                    field_of(simulation.crowd).outline,
                 )
             )
 

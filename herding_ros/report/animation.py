@@ -20,8 +20,8 @@ import numpy as np
 from PIL import Image
 
 from .style import BLUE, draw_goal, draw_herd, draw_paths, draw_walls, number_dogs, RED
-from .summary import over_time
-from .walls import field_of_run, outlines, region
+from .summary import field, over_time
+from .walls import outlines
 
 _PICTURES = 100
 """Pictures of a run."""
@@ -82,8 +82,7 @@ def _pictures(run: RecordedRun) -> list[Image.Image]:
 
 def _draw(axes: Axes, run: RecordedRun, k: int, middle: Array) -> None:
     now = float(run.times[k])
-    field = field_of_run(run)
-    draw_walls(axes, outlines(field), region(field))
+    draw_walls(axes, field(run)[0])
     draw_paths(axes, run.d[: k + 1], middle[: k + 1])
     for routes, colour in ((run.plans, RED), (run.expected, BLUE)):
         route = in_play(routes, now)
@@ -112,7 +111,7 @@ def _box(run: RecordedRun) -> Array:
     """Return the lower left and the upper right corner (2, 2) [m] of all pictures."""
     goals = [goal for _, goal in run.goals] or ([] if run.goal is None else [run.goal])
     places = [run.x.reshape(-1, 2), run.d.reshape(-1, 2), np.reshape(goals, (-1, 2))]
-    everything = np.concatenate([*places, *outlines(field_of_run(run))])
+    everything = np.concatenate([*places, *outlines(field(run)[0])])
     everything = everything[np.isfinite(everything).all(axis=1)]
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.05 * float((high - low).max()) or 0.5

@@ -23,8 +23,7 @@ from .style import (
     number_dogs,
     save,
 )
-from .summary import arrival, distances, initial_spread, over_time
-from .walls import field_of_run, outlines, region
+from .summary import arrival, distances, field, initial_spread, over_time
 
 _MOST_NUMBERS = 60
 """More dogs than this go without their numbers: nobody could read them."""
@@ -52,8 +51,7 @@ def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
 
 
 def _draw_map(axes: Axes, run: RecordedRun) -> None:
-    field = field_of_run(run)
-    draw_walls(axes, outlines(field), region(field))
+    draw_walls(axes, field(run)[0])
     draw_paths(axes, run.d, over_time(centre, run), 'centre of the flock')
     for k, alpha, when in ((0, 0.3, 'start'), (-1, 1.0, 'end')):
         x, d = run.x[k][run.seen[k]], run.d[k][np.isfinite(run.d[k, :, 0])]

@@ -13,8 +13,8 @@ from herding_ros.bag.recorded_run import Array, in_play, RecordedRun
 from herding_ros.model.flock import centre, spread
 import numpy as np
 
-from .summary import arrival, distances, initial_spread, over_time
-from .walls import field_of_run, outlines, region
+from .summary import arrival, distances, field, initial_spread, over_time
+from .walls import outlines, region
 
 _PAGE = Path(__file__).with_name('replay.html')
 _SLOT = '<script type="application/json" id="run">{}</script>'
@@ -60,8 +60,8 @@ def packed(run: RecordedRun) -> dict[str, Any]:
     goals = [[since, *goal] for since, goal in run.goals] or (
         [] if run.goal is None else [[0.0, *run.goal]]
     )
-    field = field_of_run(run)
-    walls = [line.tolist() for line in outlines(field)]
+    place = field(run)[0]
+    walls = [line.tolist() for line in outlines(place)]
     corners = [np.reshape(each, (-1, 2)) for each in (x, d, planned, *walls)]
     box = _box(np.concatenate([*corners, np.array(goals).reshape(-1, 3)[:, 1:]]))
     origin, unit = box[0], float(np.ptp(box, axis=0).max()) / _LARGEST
@@ -76,7 +76,7 @@ def packed(run: RecordedRun) -> dict[str, Any]:
         'unit': unit,
         'box': box.tolist(),
         'walls': walls,
-        'region': region(field).tolist(),
+        'region': region(place).tolist(),
         'sheep': len(herd),
         'dogs': list(run.dogs),
         'x': places(x),

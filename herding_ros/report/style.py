@@ -8,9 +8,11 @@ import os
 from pathlib import Path
 from typing import Any
 
+from herding_ros.model.field import Field
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 import numpy as np
 
 # Blue and red of this lightness stay apart with any kind of colour vision, and in grey.
@@ -54,6 +56,19 @@ def draw_paths(axes: Axes, dogs: Any, centre: Any, label: str | None = None) -> 
     axes.plot(*np.transpose(centre), color=BLUE, linewidth=1.6, label=label)
 
 
+def draw_walls(axes: Axes, field: Field) -> None:
+    """Draw fences, obstacles and discs, and the region that has to hold all sheep."""
+    if len(field.goal) > 2:
+        axes.fill(*np.transpose(field.goal), color=GREY, alpha=0.12, linewidth=0)
+    for corners in field.obstacles:
+        axes.fill(*np.transpose(corners), color=GREY, alpha=0.5, linewidth=0)
+    for ax, ay, bx, by, radius in field.bars:
+        if radius:
+            axes.add_patch(Circle((ax, ay), radius, color=GREY, alpha=0.5, linewidth=0))
+        else:
+            axes.plot([ax, bx], [ay, by], color='black', linewidth=1.5, solid_capstyle='round')
+
+
 def draw_herd(
     axes: Axes,
     x: Any,
@@ -77,13 +92,6 @@ def draw_herd(
         )  # fmt: skip
         axes.plot([], [], 'h', color=BLUE, markersize=2 * size, label=labels[0], **common)
     axes.plot(*np.transpose(d), '^', color=RED, markersize=2 * size, label=labels[1], **common)
-
-
-def draw_walls(axes: Axes, walls: Iterable[Any], region: Any) -> None:
-    """Draw walls, polylines (K, 2) [m], and the outline (K, 2) of where the flock has to be."""
-    for line in walls:
-        axes.plot(*np.transpose(line), color=GREY, linewidth=2.0)
-    axes.plot(*np.transpose(region), color=GREY, linewidth=1.0, linestyle='--')
 
 
 def number_dogs(axes: Axes, d: Any, numbers: Iterable[int]) -> None:

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from herding_ros.bag.recorded_run import Array, RecordedRun
-from herding_ros.model.field import Field, read_field, shipped_fields
+from herding_ros.model.field import Field
+from herding_ros.model.state import Array
 import numpy as np
 
 _CORNERS = 48
@@ -24,15 +24,3 @@ def region(field: Field) -> Array:
     """Return the polygon that has to hold the flock, closed (K, 2) [m]; (0, 2) without one."""
     corners = field.goal if len(field.goal) > 2 else ()
     return np.array([*corners, *corners[:1]]).reshape(-1, 2)
-
-
-def field_of_run(run: RecordedRun) -> Field:
-    """Return the field of a recorded run, empty if it was none of those that we ship.
-
-    A bag, which may come from anybody, names no file that is read.
-    """
-    for node in ('sim', 'controller'):
-        name = run.parameters.get(f'{run.namespace}/{node}', {}).get('field')
-        if name in shipped_fields():
-            return read_field(name)[0]
-    return Field()

@@ -8,8 +8,7 @@ from itertools import pairwise
 from herding_ros.bag.recorded_run import Array, in_play, RecordedRun
 from herding_ros.model.field import Field
 from herding_ros.model.flock import centre, spread
-from herding_ros.report.summary import distances, over_time
-from herding_ros.report.walls import field_of_run
+from herding_ros.report.summary import distances, field, over_time
 import numpy as np
 import viser
 
@@ -72,7 +71,7 @@ class Playback:
     def __init__(self, run: RecordedRun, host: str, port: int, title: str) -> None:
         """Serve the page; raises what `Page` raises."""
         self._run = run
-        self._field = field_of_run(run)
+        self._field = field(run)[0]
         self.page = page = Page(host, port, title, curves_of(run))
         self._write = page.add_text()
         self._plays = True

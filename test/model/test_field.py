@@ -151,7 +151,7 @@ def test_a_dog_stops_at_a_wall_and_is_counted() -> None:
 
 def test_a_flock_has_arrived_once_the_region_has_held_all_sheep() -> None:
     field = Field(goal=SQUARE[:-1], hold=1.0)
-    world = World(sheep=5, dogs=1)
+    world = World(sheep=20, dogs=1)
     simulation = Simulation(field.around(Crowd(noise=0.0)), world, field.place)
     arrived = []
     for _ in range(12):
@@ -159,10 +159,11 @@ def test_a_flock_has_arrived_once_the_region_has_held_all_sheep() -> None:
         simulation.advance(np.zeros((1, 2)))
     assert arrived == [False] * 10 + [True] * 2
     x = simulation.state.x.copy()
-    x[0] = [1.001, 0.0]
+    x[0] = [1.1, 0.0]
     simulation.state = replace(simulation.state, x=x)
+    simulation.advance(np.zeros((1, 2)))
     assert not simulation.arrived
-    simulation.goal = x.mean(axis=0)  # moved: a point like any other
+    simulation.goal = simulation.state.x.mean(axis=0)  # moved: a point like any other
     assert simulation.arrived
 
 

@@ -28,6 +28,7 @@ from geometry_msgs.msg import (
 )
 from herding_ros.checks import check_goal, Refused
 from herding_ros.control.plan import Plan
+from herding_ros.model.field import Field
 from herding_ros.nodes import messages
 from herding_ros.nodes import refusals as refusals_module
 from herding_ros.nodes.refusals import Refusals
@@ -827,3 +828,15 @@ def test_markers_show_sheep_dogs_and_goal() -> None:
     cross = np.array([(p.x, p.y) for p in shown['goal'].points])
     assert np.allclose(cross.mean(axis=0), (7.0, 8.0))
     assert np.allclose(np.abs(cross - (7.0, 8.0)), 0.5)
+    assert 'walls' not in shown
+
+
+def test_markers_show_walls() -> None:
+    field = Field(fences=(((1.0, 2.0), (3.0, 4.0)),), discs=((5.0, 5.0, 0.5),))
+    x = np.ones((1, 2))
+    drawn = messages.marker_array(x, x, x[0], 0.5, 0, 'map', field.outline)
+    (walls,) = [each for each in drawn.markers if each.ns == 'walls']
+    ends = np.array([(p.x, p.y) for p in walls.points])
+    assert ends[:2].tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert np.allclose(np.linalg.norm(ends[2:] - 5.0, axis=1), 0.5)
+    assert np.array_equal(ends[3:-1:2], ends[4::2])  # a closed ring

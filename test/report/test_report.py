@@ -386,3 +386,32 @@ def test_program_says_where_it_cannot_write(
     (tmp_path / 'file').write_text('')
     assert main([str(bag), '--out', str(tmp_path / 'file')]) == 2
     assert 'file' in capsys.readouterr().err
+
+
+def test_a_field_is_drawn_and_its_region_judges(run: RecordedRun, tmp_path: Path) -> None:
+    """The region holds all sheep from 1 s on, so for half a second at the end."""
+    file = tmp_path / 'field.yaml'
+    file.write_text(
+        'fences: [[[-3, -3], [3, -3]]]\ndiscs: [[2, 2, 0.5]]\n'
+        'goal: [[0.3, -0.9], [1.7, -0.9], [1.7, 0.9], [0.3, 0.9]]\nhold: 0.5\n'
+    )
+    inside = replace(run, parameters={'/sim': {'field': str(file)}})
+    summary = summarise(inside)
+    assert (summary['arrived'], summary['time_s'], summary['notes']) == (True, 1.5, [])
+    axes = Figure().add_subplot()
+    figures._draw_map(axes, inside)
+    assert [
+        list(line.get_xdata())
+        for line in axes.lines
+        if line.get_linewidth() == 1.5
+        and line.get_color() == 'black'
+        and len(line.get_xdata()) > 1
+    ] == [[-3.0, 3.0]]
+    assert len(axes.patches) == 2  # the region and the disc
+    elsewhere = summarise(replace(inside, goal=np.array([0.96, 0.0])))
+    assert elsewhere['time_s'] == 1.5  # the state that is home without a field
+    file.write_text(file.read_text().replace('0.5\n', '1.5\n'))
+    assert summarise(inside)['arrived'] is False
+    file.unlink()
+    (note,) = summarise(inside)['notes']
+    assert 'the field is not drawn, and does not count' in note
