@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .model.simulation import Observation, Simulation, World
     from .model.state import HerdState, Trajectory
 
-__version__ = '0.1.0'
+__version__ = '0.2.0'
 
 _HOMES = {
     'control.closed_loop': ('ClosedLoopRun', 'Plant', 'Policy', 'closed_loop', 'play', 'steer'),

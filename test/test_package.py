@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import herding_ros
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / 'examples').glob('*.py'))
@@ -78,7 +79,9 @@ def requirements(name: str) -> dict[str, str]:
     [
         ('requirements.lock', ['requirements.txt', 'requirements-ros.txt']),
         ('requirements-cluster.lock', ['requirements-cluster.txt']),
+        ('requirements-browser.lock', ['requirements-browser.txt']),
         ('requirements-audit.lock', ['requirements-audit.txt']),
+        ('requirements-site.lock', ['requirements-site.txt']),
     ],
 )
 def test_every_requirement_is_locked(lock: str, sources: list[str]) -> None:
@@ -94,7 +97,20 @@ def test_every_requirement_is_locked(lock: str, sources: list[str]) -> None:
 
 def test_the_version_is_that_of_the_manifest() -> None:
     manifest = ElementTree.parse(ROOT / 'package.xml')
-    assert manifest.findtext('version') == herding_ros.__version__
+    version = manifest.findtext('version')
+    assert version == herding_ros.__version__
+    assert f'\nversion: {version}\n' in (ROOT / 'CITATION.cff').read_text('utf-8')
+    assert f'\n{version} (' in (ROOT / 'CHANGELOG.rst').read_text('utf-8')
+    assert f'version = {{{version}}}' in (ROOT / 'doc' / 'cite.md').read_text('utf-8')
+
+
+@pytest.mark.parametrize('path', (ROOT / '.github' / 'ISSUE_TEMPLATE').glob('[!c]*.yml'))
+def test_issue_templates_are_forms(path: Path) -> None:
+    form = yaml.safe_load(path.read_text(encoding='utf-8'))
+    assert {'name', 'description', 'body'} <= form.keys()
+    questions = [part for part in form['body'] if part['type'] != 'markdown']
+    assert all(part['attributes']['label'] for part in questions)
+    assert len({part['id'] for part in questions}) == len(questions)
 
 
 def printed_by(name: str, folder: Path) -> str:
@@ -105,13 +121,8 @@ def printed_by(name: str, folder: Path) -> str:
 
 
 def test_examples_are_short() -> None:
-    assert len(EXAMPLES) == 4
+    assert len(EXAMPLES) == 3
     assert all(len(path.read_text(encoding='utf-8').splitlines()) <= 45 for path in EXAMPLES)
-
-
-def test_example_herds_and_plots(tmp_path: Path) -> None:
-    assert 'arrived: True' in printed_by('herd_and_plot.py', tmp_path)
-    assert (tmp_path / 'herd.png').read_bytes().startswith(b'\x89PNG')
 
 
 def test_example_keeps_dogs_apart(tmp_path: Path) -> None:

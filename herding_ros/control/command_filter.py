@@ -6,12 +6,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from herding_ros.model.bodies import closest
-from herding_ros.model.motion import Holonomic
+from herding_ros.model.field import Field, NO_FIELD
+from herding_ros.model.motion import Obedient
+from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
 from .parameters import Bodies, Control
-from .separation import gain_for, HalfPlanes, kept_apart
+from .separation import Agility, gain_for, HalfPlanes, kept_apart
 
 
 @dataclass(frozen=True)
@@ -32,65 +34,116 @@ class CommandFilter:
 
     A command changes no faster than it may, but for two things: a dog that is not seen is taken to
     stand where it was seen last, and its command is left as it is; and distances come first. The
-    margin is kept as far as that allows. All this is for dogs whose commands are velocities:
-    those of others stay as they are.
+    margin is kept as far as that allows. All this is for dogs whose motion is `Obedient`: the
+    commands of others stay as they are.
     """
 
     def __init__(self, dogs: int) -> None:
         """Begin without having seen any of so many dogs."""
         self._places = np.full((dogs, 2), np.nan)
 
+    def place(self, m: int, position: Array) -> None:
+        """Take in where a dog is (2,) [m] that is not commanded by a plan."""
+        self._places[m] = position
+
+    def place_of(self, m: int) -> Array:
+        """Return where a dog was seen last (2,) [m]; NaN before."""
+        return self._places[m].copy()
+
+    def is_free(self, m: int, point: Array, control: Control) -> bool:
+        """Whether no other dog is near the straight way of dog m to a point (2,) [m]."""
+        others, way = np.delete(self._places, m, axis=0), point - self._places[m]
+        along = np.clip((others - self._places[m]) @ way / max(way @ way, TINY), 0.0, 1.0)
+        off = np.linalg.norm(others - self._places[m] - along[:, None] * way, axis=1)
+        return bool(np.nanmin(off, initial=np.inf) > 2.0 * control.bodies.separation)
+
     def filtered(
-        self, asked: Array, last: Array, state: HerdState, dogs: tuple[int, ...], control: Control
+        self,
+        asked: Array,
+        last: Array,
+        state: HerdState,
+        dogs: tuple[int, ...],
+        control: Control,
+        field: Field = NO_FIELD,
     ) -> FilteredCommand:
         """Return what to command for `asked` (M, 2), after `last` (M, 2) [m/s].
 
-        state: of the sheep and of the dogs that are seen; dogs: these, by their indices.
+        state: of the sheep and of the dogs that are seen; dogs: these, by their indices; field:
+        that they are in.
         """
         bodies, seen = control.bodies, list(dogs)
-        if not isinstance(control.motion, Holonomic):
+        motion, period = control.motion, control.horizon.control_period
+        if not isinstance(motion, Obedient):
             return FilteredCommand(asked, False, False)
         self._places[seen] = state.dogs
         hidden = np.delete(self._places, seen, axis=0)
         hidden = hidden[np.isfinite(hidden[:, 0])]
-        keeps = keeps_distances(control)
+        keeps = keeps_distances(control, field)
         wanted = u = asked[seen]
+        before, most = last[seen], motion.largest_change(period)
         if keeps:
-            u = _apart(wanted, state, hidden, control, bodies.margin)
+            # Dogs that have to turn do so for what they would be told if they need not.
+            u = _apart(wanted, state, hidden, control, field, bodies.margin, Agility(before))
         changed = u is not wanted
-        if bodies.ramp:
-            most = control.max_speed * control.horizon.control_period / bodies.ramp
-            u = last[seen] + control.motion.project(u - last[seen], most)
+        if bodies.ramp or most < np.inf:
+            smooth = control.max_speed * period / bodies.ramp if bodies.ramp else np.inf
+            u = before + motion.project(u - before, min(most, smooth))
         if keeps:
-            u = _apart(u, state, hidden, control, 0.0, part=not bodies.ramp)
+            agility = Agility(before, most, motion.directions(state.d))
+            u = _apart(u, state, hidden, control, field, 0.0, agility, part=not bodies.ramp)
         command = asked.copy()
         command[seen] = u
         return FilteredCommand(command, changed, keeps and _are_too_near(state.dogs, bodies))
 
 
 def _apart(
-    u: Array, state: HerdState, hidden: Array, control: Control, margin: float, part: bool = True
+    u: Array,
+    state: HerdState,
+    hidden: Array,
+    control: Control,
+    field: Field,
+    margin: float,
+    agility: Agility,
+    part: bool = True,
 ) -> Array:
     """Return the nearest commands that keep the distances and a margin [m]; u itself if it does.
 
     hidden: (n, 2) places [m] of dogs that stand; part: see `kept_apart`.
     """
-    bodies, d = control.bodies, state.dogs
-    gain = gain_for(bodies.delay, control.horizon.control_period)
-    reach = control.max_speed / gain
+    bodies, d, motion = control.bodies, state.dogs, control.motion
+    assert isinstance(motion, Obedient)
+    period, most = control.horizon.control_period, motion.largest_change(1.0)
+    ahead = motion.project(np.array([control.max_speed, 0.0]), control.max_speed)
+    limit = float(np.linalg.norm(ahead))
+    # A velocity that is reached at the end of a period takes effect a period later.
+    delay = bodies.delay + (period if most < np.inf else 0.0)
+    gain = gain_for(delay, period, most / limit)
+    reach = limit / gain
+
+    def kept(distance: float) -> float:
+        """Return what to keep so that ways which are not straight keep the distance and margin."""
+        bend = motion.bend(limit, period, distance)
+        return distance + margin + bend / (gain * period)
+
     planes, distance = HalfPlanes.none(), -np.inf  # of two dogs
     if bodies.separation:
-        distance = bodies.separation + margin
+        distance = kept(bodies.separation)
         planes = planes.and_also(HalfPlanes.around(hidden, d, distance, reach))
     if bodies.sheep_distance:
-        from_sheep = bodies.sheep_distance + margin
+        from_sheep = kept(bodies.sheep_distance)
         planes = planes.and_also(HalfPlanes.around(state.x, d, from_sheep, reach))
-    return kept_apart(d, u, distance, gain, control.max_speed, planes, part)
+    if len(field.bars):
+        gaps, normals = field.away(d)
+        gaps -= kept(bodies.wall_distance)
+        dogs, walls = np.nonzero(gaps < reach)
+        planes = planes.and_also(HalfPlanes(dogs, normals[dogs, walls], gaps[dogs, walls]))
+    return kept_apart(d, u, distance, gain, limit, planes, part, agility)
 
 
-def keeps_distances(control: Control) -> bool:
-    """Return whether commands are to keep dogs from each other or from sheep."""
-    return control.bodies.separation > 0.0 or control.bodies.sheep_distance > 0.0
+def keeps_distances(control: Control, field: Field = NO_FIELD) -> bool:
+    """Return whether commands are to keep dogs from each other, from sheep or from walls."""
+    bodies = control.bodies
+    return bodies.separation > 0.0 or bodies.sheep_distance > 0.0 or len(field.bars) > 0
 
 
 def _are_too_near(d: Array, bodies: Bodies) -> bool:

@@ -6,8 +6,6 @@ from __future__ import annotations
 from herding_ros.model.state import Array
 import numpy as np
 
-_TINY = 1e-12
-
 
 def detour(start: Array, end: Array, radius: float) -> tuple[Array, Array, Array]:
     """Return the lengths (...) [m] of the shortest ways round a disc, and their gradients.
@@ -22,28 +20,11 @@ def detour(start: Array, end: Array, radius: float) -> tuple[Array, Array, Array
     with a, b the distances of start and end from the centre and theta the angle between them. A
     disc that holds one of them is shrunk until that point is on its edge.
     """
-    straight = end - start
-    length = np.sqrt(np.square(straight).sum(axis=-1))
-    heading = straight / np.maximum(length, _TINY)[..., None]
-    a, b = (np.maximum(np.sqrt(np.square(p).sum(axis=-1)), _TINY) for p in (start, end))
-    r = np.minimum(np.minimum(radius, a), b)
-    cross = start[..., 0] * end[..., 1] - start[..., 1] * end[..., 0]
-    theta = np.abs(np.arctan2(cross, (start * end).sum(axis=-1)))
-    arc = theta - np.arccos(np.minimum(r / a, 1.0)) - np.arccos(np.minimum(r / b, 1.0))
-    turn = np.where(cross >= 0.0, 1.0, -1.0)
-    tangents = [np.sqrt(np.maximum(each**2 - r**2, 0.0)) for each in (a, b)]
-    around = tangents[0] + tangents[1] + r * arc
-    gradients = []
-    for point, distance, tangent, sign, shrinks in (
-        (start, a, tangents[0], -1.0, a <= b),
-        (end, b, tangents[1], 1.0, b < a),
-    ):
-        unit = point / distance[..., None]
-        across = np.stack([-unit[..., 1], unit[..., 0]], axis=-1)
-        outwards = tangent / distance + np.where(shrinks & (distance <= radius), arc, 0.0)
-        sideways = sign * turn * r / distance
-        gradients.append(outwards[..., None] * unit + sideways[..., None] * across)
-    bends = arc > 0.0
-    by_start = np.where(bends[..., None], gradients[0], -heading)
-    by_end = np.where(bends[..., None], gradients[1], heading)
-    return np.where(bends, around, length), by_start, by_end
+    # A program's help needs no Numba.
+    from herding_ros.model.errand_kernels import detours
+
+    shape = np.broadcast_shapes(start.shape, end.shape)
+    ends = (np.ascontiguousarray(np.broadcast_to(p, shape)).reshape(-1, 2) for p in (start, end))
+    length, by_start, by_end = np.empty(shape[:-1]), np.empty(shape), np.empty(shape)
+    detours(*ends, radius, length.reshape(-1), by_start.reshape(-1, 2), by_end.reshape(-1, 2))
+    return length, by_start, by_end

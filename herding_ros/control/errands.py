@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from .detour import detour
 from .reach import Reach
+from .ways import Ways
 
 _STRAYED = 2.5
 """Multiple of the median distance from the flock's middle beyond which a sheep has strayed.
@@ -32,7 +33,9 @@ class Errands:
     together: (N,) whether a sheep is with the flock; dogs, sheep: (k,) indices of the pairs;
     goal: (2,) [m] to which each sheep is driven by itself, None: strays are brought to the flock;
     inner: distance [m] from there within which a sheep needs no fetching; around: radius [m] of
-    the disc around it that dogs do not cross; standoff, reach: see `Reach`.
+    the disc around it that dogs do not cross; standoff, reach: see `Reach`; via: (k, 2) [m] where
+    a stray is led first that has a wall before it, else NaN; rest: (k,) [m] how long its way is
+    from there.
     """
 
     together: NDArray[np.bool_]
@@ -43,15 +46,17 @@ class Errands:
     around: float
     standoff: float
     reach: float
+    via: Array
+    rest: Array
 
     @classmethod
-    def of(cls, reach: Reach, state: HerdState, goal: Array) -> Errands:
+    def of(cls, reach: Reach, state: HerdState, goal: Array, ways: Ways | None = None) -> Errands:
         """Return the errands in a state; dogs take them so that their ways are shortest.
 
         Strays are sheep that are farther from the flock's middle than 2.5 times the median. Of a
         flock so scattered that dogs do not feel across it, each sheep is driven to the goal
         (2,) [m] by itself. If there are more strays than dogs, each dog fetches, of those that
-        are nearer to it than to others, the farthest.
+        are nearer to it than to others, the farthest. Among walls strays are led along `ways`.
         """
         x, d = state.x, state.dogs
         middle = _middle(x)
@@ -69,30 +74,39 @@ class Errands:
             around = float(np.linalg.norm(x[together] - place, axis=1).max())
         strays = np.flatnonzero(~together)
         around += _CLEARANCE * reach.reach
-        posts = behind_each(x[strays], place, reach.standoff)
-        ways = detour(d[:, None] - place, posts[None] - place, around)[0]
-        dogs, found = _assign(ways, np.linalg.norm(x[strays] - place, axis=1))
+        via: Array = np.full((len(strays), 2), np.nan)
+        rest: Array = np.zeros(len(strays))
+        if ways is not None and len(strays):
+            via, rest = ways.round_walls(x[strays], place)
+        posts = behind_each(x[strays], np.where(np.isnan(via), place, via), reach.standoff)
+        lengths = detour(d[:, None] - place, posts[None] - place, around)[0]
+        dogs, found = _assign(lengths, np.linalg.norm(x[strays] - place, axis=1))
         return cls(
             together, dogs, strays[found], goal if individually else None, inner, around,
-            reach.standoff, reach.reach,
+            reach.standoff, reach.reach, via[found], rest[found],
         )  # fmt: skip
 
     def place(self, x: Array) -> Array:
         """Return where strays are brought (2,) [m], for sheep at x (N, 2) [m]."""
         return centre(x[self.together]) if self.goal is None else self.goal
 
+    def places(self, x: Array) -> Array:
+        """Return where each stray is led first (k, 2) [m]."""
+        return np.where(np.isnan(self.via), self.place(x), self.via)
+
 
 def _middle(x: Array) -> Array:
     """Return the middle (2,) of most sheep: of the half that is nearest to the centre, twice."""
-    middle = centre(x)
-    for _ in range(2):
-        off = np.linalg.norm(x - middle, axis=1)
-        middle = centre(x[off <= np.median(off)])
-    return middle
+    # A program's help needs no Numba.
+    from herding_ros.model.errand_kernels import middle
+
+    out = np.empty(2)
+    middle(np.ascontiguousarray(x), out)
+    return out
 
 
 def behind_each(x: Array, place: Array, standoff: float) -> Array:
-    """Return the posts (n, 2) [m] behind sheep at x (n, 2), as seen from a place (2,)."""
+    """Return posts (n, 2) [m] behind sheep at x (n, 2), as seen from a place (2,) or (n, 2)."""
     off = x - place
     distance = np.linalg.norm(off, axis=1, keepdims=True)
     return x + standoff * np.divide(off, distance, out=np.zeros_like(off), where=distance > 0.0)

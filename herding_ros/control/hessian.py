@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+import copy
 
 from herding_ros.model.linear_algebra import advance, hessian_times, smoothed, times
 from herding_ros.model.state import Array
@@ -32,12 +33,24 @@ class Hessian:
     def __init__(self) -> None:
         """Know nothing."""
         self._theta = 0.0
+        self._shape: tuple[int, ...] = ()
         self._forget_steps()
 
     @property
     def known(self) -> bool:
         """Whether anything is known."""
         return self._theta > 0.0
+
+    def continued(self, shape: tuple[int, ...]) -> Hessian:
+        """Return one for controls of this shape that knows what this one knows of such controls.
+
+        What it learns stays its own.
+        """
+        if self._shape != shape:
+            return Hessian()
+        other = copy.copy(self)
+        other._steps, other._smoothed = self._steps.copy(), self._smoothed.copy()
+        return other
 
     def _forget_steps(self) -> None:
         self._steps: deque[tuple[Array, Array]] = deque(maxlen=_MEMORY)
@@ -54,6 +67,7 @@ class Hessian:
         Powell 1978), so that B stays positive definite; as long as nothing is known, it teaches
         nothing.
         """
+        self._shape = step.shape
         s: Array = step.reshape(len(step), -1)
         y: Array = change.reshape(len(step), -1)
         smooth = np.empty_like(s)

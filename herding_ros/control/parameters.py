@@ -6,8 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from herding_ros.model.bodies import Body
+from herding_ros.model.delay import delay_quantity, periods
+from herding_ros.model.flock import Allowance, flock
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
+from herding_ros.model.state import HerdState
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,14 @@ class Weights(Parameters):
     beyond: float = quantity(
         1.0,
         'weight of what lies beyond the window: the time that dogs need to get behind strays',
+        low=0.0,
+        live=True,
+    )
+    walls: float = quantity(
+        1.0,
+        'weight of dogs that are nearer to a wall of the field than bodies.wall_distance and '
+        'twice bodies.margin',
+        'm^2',
         low=0.0,
         live=True,
     )
@@ -190,7 +201,7 @@ class Optimiser(Parameters):
     )
     max_iterations: int = quantity(60, 'most iterations of one solve', low=1, high=10_000)
     feedback_iterations: int = quantity(
-        8, 'most iterations of an improvement between two windows', low=1, high=10_000
+        5, 'most iterations of an improvement between two windows', low=1, high=10_000
     )
     rules: bool = quantity(
         True, 'start from what a rule of herding does, if that costs less than the last plan'
@@ -308,6 +319,13 @@ class Bodies(Body):
         low=0.0,
         live=True,
     )
+    wall_distance: float = quantity(
+        0.05,
+        'distance that commands keep between the middle of a dog and a wall of the field',
+        'm',
+        low=0.0,
+        live=True,
+    )
     margin: float = quantity(
         0.03,
         'what commands keep in addition to these distances, since odometry is not exact',
@@ -364,6 +382,17 @@ class Control(Parameters):
 
     max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY, live=True)
     motion: MotionModel = Holonomic()
+    delay: float = delay_quantity(
+        'time until dogs carry out a command, which is predicted; what may come on top of it is '
+        'bodies.delay'
+    )
+    dog_timeout: float = quantity(
+        2.0,
+        'a dog that has not run as told for so long is left out of the plans until it does; '
+        '0: never',
+        's',
+        low=0.0,
+    )
     weights: Weights = Weights()
     reference: Reference = Reference()
     horizon: Horizon = Horizon()
@@ -372,6 +401,21 @@ class Control(Parameters):
     mapping: Mapping = Mapping()
     sensor: Sensor = Sensor()
     bodies: Bodies = Bodies()
+    arrival: Allowance = Allowance()
+
+    def __post_init__(self) -> None:
+        """Check what goes together."""
+        super().__post_init__()
+        periods('Control.delay', self.delay, self.horizon.control_period)
+
+    @property
+    def periods_of_delay(self) -> int:
+        """The delay in control periods."""
+        return periods('Control.delay', self.delay, self.horizon.control_period)
+
+    def herded(self, state: HerdState) -> HerdState:
+        """Return the herd without the sheep that may be left behind: no dog is sent for them."""
+        return state.of_sheep(flock(state.x, self.arrival.strays))
 
 
 PAPER = Control(
@@ -381,6 +425,7 @@ PAPER = Control(
     optimiser=Optimiser('spg', step_tolerance=5e-3, rules=False),
     mapping=Mapping('aggressive', 'plain', standard_error=0.0),
     bodies=Bodies(separation=0.0, ramp=0.0),
+    dog_timeout=0.0,
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""
 

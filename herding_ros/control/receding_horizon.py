@@ -104,6 +104,7 @@ class RecedingHorizon:
     costs: Sequence[Cost] = ()
     _planned: list[_Planned] = field(default_factory=list, init=False)  # by their starts
     _drift: Drift = field(default_factory=Drift, init=False)
+    _hessian: Hessian = field(default_factory=Hessian, init=False)
     _turns: Iterator[str] = field(default_factory=lambda: itertools.cycle(RULES), init=False)
     _noise: Noise | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
@@ -124,12 +125,12 @@ class RecedingHorizon:
     def restart(self) -> None:
         """Forget all plans: the next solve starts from standing dogs."""
         self._planned, self._turns = [], itertools.cycle(RULES)
-        self._drift = Drift()
+        self._drift, self._hessian = Drift(), Hessian()
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         """Plan with these from the next solve on."""
         self.crowd, self.control, self._noise = crowd, control, None
-        self._drift = Drift()
+        self._drift, self._hessian = Drift(), Hessian()
 
     def coarse_model(self, state: HerdState) -> CoarseModel:
         """Return the model without noise: the flock itself, or the limit of a large one."""
@@ -147,6 +148,7 @@ class RecedingHorizon:
         """
         clock = Stopwatch()
         control, horizon = self.control, self.control.horizon
+        state = control.herded(state)
         self._learn(state, t)
         coarse = self.coarse_model(state)
         budget = Budget(
@@ -210,6 +212,7 @@ class RecedingHorizon:
         control's own time grid. no_time_for is called with 'coarse' or 'fine', see `solve`.
         """
         clock = Stopwatch()
+        state = self.control.herded(state)
         self._learn(state, t)
         optimiser, horizon = self.control.optimiser, self.control.horizon
         corrects = self.control.mapping.feedback
@@ -284,7 +287,8 @@ class RecedingHorizon:
             candidates |= task.rule_plans(coarse.on_grid(1), rules)
         solutions: list[Solution] = []
         limit = budget.max_iterations
-        hessian = Hessian()  # the curvature hardly depends on the time grid
+        # The curvature hardly depends on the time grid, nor on the second in which a plan begins.
+        hessian = self._hessian = self._hessian.continued(candidates['last plan'].shape)
         for substeps in sorted({1, coarse.substeps}):
             model = coarse.on_grid(substeps)
             times = model.dt * np.arange(horizon.intervals * substeps + 1, dtype=np.float64)

@@ -38,15 +38,24 @@ def pace(
     return min(max_speed, force / max(crowd.friction, TINY))
 
 
-def reference(kind: str, speed: float, start: Array, goal: Array, times: Array) -> Array:
+def reference(kind: str, speed: float, route: Array, times: Array) -> Array:
     """Return where the centre is asked to be at the given times [s] of a window, (K+1, 2) [m].
 
-    It moves from start to goal (2,) [m] and waits there: if 'attainable' at a speed [m/s], see
-    `pace`; if 'interpolated' (paper, remark on the receding horizon) within the window.
+    It moves from the start of a route (n, 2) [m] along straight legs to its end and waits there:
+    if 'attainable' at a speed [m/s], see `pace`; if 'interpolated' (paper, remark on the receding
+    horizon) within the window.
     """
-    offset = goal - start
+    legs = np.diff(route, axis=0)
+    lengths = [max(float(np.linalg.norm(leg)), TINY) for leg in legs]
+    total = sum(lengths)
     if kind == 'interpolated':
         fraction = times / times[-1]
     else:
-        fraction = np.minimum(speed * times / max(float(np.linalg.norm(offset)), TINY), 1.0)
-    return start + fraction[:, None] * offset
+        fraction = np.minimum(speed * times / total, 1.0)
+    path = route[0]
+    done = 0.0
+    for leg, length in zip(legs, lengths, strict=True):
+        part = np.clip(fraction * (total / length) - done / length, 0.0, 1.0)
+        path = path + part[:, None] * leg
+        done += length
+    return path

@@ -13,6 +13,12 @@ there always are commands that do, and the speed limit costs nothing of it.
 A command that takes effect later acts on dogs that are elsewhere. Gaps then shrink by no more
 than a factor exp(-s t), with s = gain exp(s delay), which has a solution if gain * delay <= 1/e:
 so `gain_for` keeps that. Time between two commands counts as delay.
+
+Dogs whose speed changes no faster than by b [m/s^2] have to brake in time. Where all slow down in
+proportion, each condition goes on to hold, and gaps shrink as exp(-s t) while speeds do; that
+needs b >= s max_speed. So s is kept below b / max_speed, and braking alike is always allowed.
+
+A dog that has to turn moves with some matrix times its command, which takes the place of u_i.
 """
 
 from __future__ import annotations
@@ -83,9 +89,27 @@ class HalfPlanes:
         )
 
 
-def gain_for(delay: float, control_period: float) -> float:
-    """Return the largest gain [1/s] that is safe for commands that take effect so late [s]."""
-    return 1.0 / (math.e * (delay + control_period))
+def gain_for(delay: float, control_period: float, braking: float = np.inf) -> float:
+    """Return the largest gain [1/s] that is safe for commands that take effect so late [s].
+
+    braking: the part of their speed limit by which dogs can slow down in a unit of time [1/s].
+    """
+    late = delay + control_period
+    s = min(1.0, braking * late)
+    return s / (late * math.exp(s))
+
+
+@dataclass(frozen=True)
+class Agility:
+    """How dogs respond to commands u (M, 2) [m/s].
+
+    before: (M, 2) their last commands [m/s]; change: by how much one may differ from these [m/s];
+    along: (M, 2, 2) matrices that make their positions' velocities of commands; None: these are.
+    """
+
+    before: Array
+    change: float = np.inf
+    along: Array | None = None
 
 
 def kept_apart(
@@ -96,19 +120,32 @@ def kept_apart(
     max_speed: float,
     planes: HalfPlanes | None = None,
     part: bool = True,
+    agility: Agility | None = None,
 ) -> Array:
     """Return the commands (M, 2) [m/s] nearest to u that keep dogs at d (M, 2) [m] apart.
 
     Nearest in the sum of squares, but for this: a pair that would only block each other passes
     on the right. Dogs that are nearer than `distance` [m] part, at up to gain [1/s] times what is
     missing; without `part` they come no nearer. No command is faster than max_speed [m/s]. Where
-    nothing has to be changed, u itself is returned.
+    nothing has to be changed, u itself is returned. Conditions that `agility` rules out are met as
+    far as braking does, all dogs by the same part of their speed.
     """
     planes = HalfPlanes.none() if planes is None else planes
     # Speeds are counted in units of the limit.
+    agility = Agility(np.zeros_like(u)) if agility is None else agility
     conditions = _Conditions.of(d, distance, gain / max_speed, planes)
+    conditions = replace(
+        conditions,
+        before=agility.before / max_speed,
+        change=agility.change / max_speed,
+        along=agility.along,
+    )
     if not part:
         conditions = replace(conditions, least=np.minimum(conditions.least, 0.0))
+    if agility.change < np.inf:
+        conditions = replace(
+            conditions, least=np.minimum(conditions.least, conditions.rates(conditions.braked()))
+        )
     asked = u / max_speed
     if conditions.hold(asked):
         return u
@@ -119,8 +156,8 @@ def kept_apart(
 class _Conditions:
     """normal . (u_one - u_other) >= least, with u_other = 0 where other is -1.
 
-    round: of what can be passed on the right. Speeds are in units of the limit. Conditions that
-    hold for any two speeds are left out.
+    round: of what can be passed on the right; before, change, along: see `Agility`. Speeds are in
+    units of the limit. Conditions that hold for any two speeds are left out.
     """
 
     one: _Indices
@@ -128,6 +165,9 @@ class _Conditions:
     normal: Array
     least: Array
     round: NDArray[np.bool_]
+    before: Array | None = None
+    change: float = np.inf
+    along: Array | None = None
 
     @classmethod
     def of(cls, d: Array, distance: float, gain: float, planes: HalfPlanes) -> _Conditions:
@@ -153,9 +193,17 @@ class _Conditions:
 
     def rates(self, u: Array) -> Array:
         """Return the left-hand sides."""
+        if self.along is not None:
+            u = (self.along @ u[..., None])[..., 0]
         moves = np.vstack([u, np.zeros(2)])  # what stands is the last one
         relative = moves[self.one] - moves[self.other]
         return (self.normal * relative).sum(axis=1)
+
+    def braked(self) -> Array:
+        """Return the last commands, all slowed down by the same part, as far as can be."""
+        assert self.before is not None
+        fastest = float(np.linalg.norm(self.before, axis=1).max())
+        return self.before * max(1.0 - self.change / max(fastest, TINY), 0.0)
 
     def hold(self, u: Array) -> bool:
         return bool((self.rates(u) >= self.least).all())
@@ -186,9 +234,24 @@ class _Conditions:
         # A program's help needs no Numba.
         from herding_ros.model.separation_kernels import nearest
 
+        assert self.before is not None
         out = np.array(u, dtype=np.float64, order='C')
+        sides = np.stack([self.normal, self.normal], axis=1)
+        square = np.where(self.other < 0, 1.0, 2.0)
+        if self.along is not None:
+            turns = np.concatenate([self.along, np.zeros((1, 2, 2))])
+            sides = np.stack(
+                [np.einsum('kij,ki->kj', turns[k], self.normal) for k in (self.one, self.other)],
+                axis=1,
+            )
+            square = np.maximum(np.square(sides).sum(axis=(1, 2)), TINY)
         sweeps = _MOST_WORK // len(self.least)
-        nearest(out, self.one, self.other, self.normal, self.least, sweeps, _TOLERANCE)
+        nearest(
+            out, self.one, self.other, sides, square, self.least, self.before, self.change, sweeps,
+            _TOLERANCE,
+        )  # fmt: skip
+        if self.change < np.inf:
+            return out
         most = np.minimum(self.least, 0.0)
         rates = self.rates(out)
         over = rates < most - _MISSED

@@ -47,6 +47,7 @@ def is_surprising(
     Its centre or its spread has to be off by more than the random force and the errors of two
     observations explain; the first of these is that of the window, elapsed [s] ago.
     """
+    state = control.herded(state)
     n, sensor = len(state.x), control.sensor
     sigma = math.sqrt(np.square(strength(crowd, t, state.x)).mean())
     moved = sigma**2 * displacement_variance(crowd, elapsed)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import relative_friction
+from herding_ros.model.field import field_of
 from herding_ros.model.flock import centre, spread
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array
@@ -18,6 +19,7 @@ from .costs.cost import Cost
 from .costs.cost_to_go import CostToGo
 from .costs.spacing import Spacing
 from .costs.tracking import Tracking
+from .costs.walls import Walls
 from .errands import Errands
 from .objective import weighted_costs
 from .parameters import Control
@@ -27,6 +29,7 @@ from .rules.collect_and_drive import CollectAndDrive
 from .rules.rule import Rule, rule_plan
 from .rules.surround import Surround
 from .rules.target_selection import TargetSelection
+from .ways import Ways
 
 RULES: dict[str, Rule] = {
     'collect and drive': CollectAndDrive(),
@@ -45,7 +48,7 @@ class Task:
 
     spread: weight of the sheep's distance from their centre; speed: of the reference [m/s];
     reach: None if no sheep notices a dog; errands: None if the cost ends with the window, or dogs
-    attract.
+    attract; ways: None without walls.
     """
 
     control: Control
@@ -55,19 +58,22 @@ class Task:
     speed: float
     reach: Reach | None
     errands: Errands | None
+    ways: Ways | None = None
 
     @classmethod
     def of(cls, control: Control, model: CoarseModel, goal: Array) -> Task:
         """Return the task in the state of a model; goal (2,) [m]."""
         crowd, state, reach = model.crowd, model.state, Reach.of(model.crowd)
+        ways = Ways.of(field_of(crowd), control.bodies, state.x, goal)
+        aim = goal if ways is None else ways.aim(state.x)
         attainable = control.reference.kind == 'attainable'
-        speed = pace(crowd, reach, state, goal, control.max_speed) if attainable else 0.0
+        speed = pace(crowd, reach, state, aim, control.max_speed) if attainable else 0.0
         errands, weight = None, control.weights.spread
         if reach is not None and reach.repels and control.weights.beyond:
-            errands = Errands.of(reach, state, goal)
+            errands = Errands.of(reach, state, aim, ways)
             here = state.x[errands.together]
             weight *= _growth(crowd, here, reach.standoff, control.horizon.length)
-        return cls(control, goal, centre(state.x), weight, speed, reach, errands)
+        return cls(control, goal, centre(state.x), weight, speed, reach, errands, ways)
 
     def costs(self, times: Array, defect: Array | float = 0.0) -> list[Cost]:
         """Return the costs at the given times [s] of a window, control effort apart.
@@ -77,12 +83,12 @@ class Task:
         """
         weights, errands = self.control.weights, self.errands
         if errands is not None and errands.goal is not None:
-            place = np.broadcast_to(self.goal, (len(times), 2))
+            place = np.broadcast_to(errands.goal, (len(times), 2))
             costs: list[Cost] = [Tracking(self.spread, self.spread, place)]
         else:
-            route = reference(
-                self.control.reference.kind, self.speed, self.start, self.goal, times
-            )
+            straight = np.stack([self.start, self.goal])
+            route = straight if self.ways is None else self.ways.route
+            route = reference(self.control.reference.kind, self.speed, route, times)
             rounding = TINY if self.reach is None else _ROUNDING * self.reach.standoff
             weights = replace(weights, spread=self.spread)
             costs = weighted_costs(weights, route - defect, rounding)
@@ -92,6 +98,8 @@ class Task:
         bodies = self.control.bodies
         if weights.spacing and bodies.separation:
             costs.append(Spacing(weights.spacing, bodies.separation + 2.0 * bodies.margin))
+        if weights.walls and self.ways is not None:
+            costs.append(Walls(weights.walls, self.ways.clearance, self.ways.field.bars))
         return costs
 
     def rule_plans(self, model: CoarseModel, names: Sequence[str]) -> dict[str, Array]:
@@ -100,7 +108,9 @@ class Task:
             return {}
         intervals, max_speed = self.control.horizon.intervals, self.control.max_speed
         return {
-            name: rule_plan(RULES[name], model, self.reach, self.goal, max_speed, intervals)
+            name: rule_plan(
+                RULES[name], model, self.reach, self.goal, max_speed, intervals, self.ways
+            )
             for name in names
         }
 

@@ -11,6 +11,10 @@ from typing import Any
 
 from numba import njit
 
+from .compile_notice import announce_compiling
+
+announce_compiling()
+
 OPTIONS: dict[str, Any] = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
 
 # 'reassoc' lets the compiler sum rows in vector registers, 'contract' lets it fuse

@@ -38,6 +38,12 @@ def find_cache() -> None:
     os.environ['NUMBA_CACHE_DIR'] = tempfile.mkdtemp(prefix='herding_ros-')
 
 
+def has_kernels() -> bool:
+    """Whether kernels have been compiled before, so that a program starts at once."""
+    places = os.environ.get('NUMBA_CACHE_DIR') or _PACKAGE
+    return any(Path(places).rglob('*.nbi'))
+
+
 def is_writable(folder: Path) -> bool:
     """Whether files can be written into a folder, which is made if it is not there."""
     try:

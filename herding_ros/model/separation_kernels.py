@@ -18,38 +18,41 @@ def nearest(
     one: NDArray[np.intp],
     other: NDArray[np.intp],
     normal: Array,
+    square: Array,
     least: Array,
+    before: Array,
+    most: float,
     sweeps: int,
     tolerance: float,
 ) -> int:
     """Move u[M, 2] to the nearest point that fulfils all conditions; return the sweeps it took.
 
-    Conditions: normal[k] . (u[one[k]] - u[other[k]]) >= least[k], u[-1] being 0, and |u| <= 1.
-    Where least is positive, of that the part 1 - slack / _PARTING, with slack >= 0 as small as
-    possible, one for all pairs and one for each dog's other conditions. By Dykstra's alternating
-    projections (Boyle and Dykstra 1986), for half-planes Hildreth's method, until a sweep moves
-    none by more than the tolerance.
+    Conditions: normal[k, 0] . u[one[k]] - normal[k, 1] . u[other[k]] >= least[k], u[-1] being 0,
+    |u| <= 1, and |u - before| <= most. square[k] is |normal[k]|^2. Where least is positive, of
+    that the part 1 - slack / _PARTING, with slack >= 0 as small as possible, one for all pairs and
+    one for each dog's other conditions. By Dykstra's alternating projections (Boyle and Dykstra
+    1986), for half-planes Hildreth's method, until a sweep moves none by more than the tolerance.
     """
     pull = np.zeros(len(least))
-    excess = np.zeros_like(u)
+    excess, drag = np.zeros_like(u), np.zeros_like(u)
     slack, slack_pull = np.zeros(len(u) + 1), np.zeros(len(u) + 1)
     for sweep in range(sweeps):
         largest = 0.0
         for k in range(len(least)):
             i, j = one[k], other[k]
-            rate = normal[k, 0] * u[i, 0] + normal[k, 1] * u[i, 1]
-            square, own = 1.0, i
+            rate = normal[k, 0, 0] * u[i, 0] + normal[k, 0, 1] * u[i, 1]
+            own = i
             if j >= 0:
-                rate -= normal[k, 0] * u[j, 0] + normal[k, 1] * u[j, 1]
-                square, own = 2.0, len(u)
+                rate -= normal[k, 1, 0] * u[j, 0] + normal[k, 1, 1] * u[j, 1]
+                own = len(u)
             give = max(least[k], 0.0) / _PARTING
-            change = (least[k] - rate - give * slack[own]) / (square + give * give)
+            change = (least[k] - rate - give * slack[own]) / (square[k] + give * give)
             change = max(change, -pull[k])
             pull[k] += change
             for c in range(2):
-                u[i, c] += change * normal[k, c]
+                u[i, c] += change * normal[k, 0, c]
                 if j >= 0:
-                    u[j, c] -= change * normal[k, c]
+                    u[j, c] -= change * normal[k, 1, c]
             slack[own] += change * give
             largest = max(largest, abs(change))
         for i in range(len(slack)):
@@ -62,6 +65,13 @@ def nearest(
             largest = max(largest, abs(x / speed - u[i, 0]), abs(y / speed - u[i, 1]))
             u[i, 0], u[i, 1] = x / speed, y / speed
             excess[i, 0], excess[i, 1] = x - u[i, 0], y - u[i, 1]
+        for i in range(len(u) if most < np.inf else 0):
+            x, y = u[i, 0] + drag[i, 0] - before[i, 0], u[i, 1] + drag[i, 1] - before[i, 1]
+            factor = most / max(np.sqrt(x * x + y * y), most)
+            to_x, to_y = before[i, 0] + factor * x, before[i, 1] + factor * y
+            largest = max(largest, abs(to_x - u[i, 0]), abs(to_y - u[i, 1]))
+            drag[i, 0], drag[i, 1] = (1.0 - factor) * x, (1.0 - factor) * y
+            u[i, 0], u[i, 1] = to_x, to_y
         if largest < tolerance:
             return sweep + 1
     return sweeps

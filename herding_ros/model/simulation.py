@@ -9,6 +9,8 @@ import numpy as np
 
 from .bodies import Body, closest, touches
 from .crowd import Crowd
+from .delay import delay_quantity, periods
+from .field import field_of
 from .flock import Arrival, arrived, centre, spread, without_strays
 from .motion import Holonomic, MotionModel
 from .parameters import Parameters, quantity, TINY
@@ -32,6 +34,7 @@ class World(Parameters):
         0.005, 'standard deviation of observed velocities', 'm/s', low=0.0
     )
     max_speed: float = quantity(5e-2, 'a dog runs no faster than this', 'm/s', low=TINY)
+    delay: float = delay_quantity('time until dogs carry out a command')
     motion: MotionModel = Holonomic()
     bodies: Body = Body()
     start: Start = Start()
@@ -40,6 +43,7 @@ class World(Parameters):
     def __post_init__(self) -> None:
         """Check what goes together."""
         super().__post_init__()
+        periods('World.delay', self.delay, self.control_period)
         if self.arrival.strays >= self.sheep:
             raise ValueError(
                 f'World.arrival.strays must be less than World.sheep, {self.sheep}, '
@@ -102,12 +106,19 @@ class Simulation:
         dogs = world.motion.state(herd.d, facing, np.zeros_like(herd.d))
         self.state = replace(herd, d=dogs)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
+        late = periods('delay', world.delay, world.control_period)
+        self._under_way: list[Array] = [np.zeros((world.dogs, 2))] * late
         self.periods = 0
         self.touches = touches(self.state.dogs[None], world.bodies.radius)
         """How often two dogs have come to touch; they run on all the same."""
+        self.stops = 0
+        """Steps that a dog could not take, since a wall was in its way."""
         self.closest_dogs = closest(self.state.dogs[None])
         """The smallest distance there was between two dogs [m]; infinite for a single dog."""
         self.initial_spread = float(spread(single(self.flock)))
+        self._held_since: int | None = None
+        self._note_who_is_inside()
+        field_of(crowd).check_clear(self.state, world.bodies.radius)
         self._process, self._sensor = flock.spawn(2)
 
     @property
@@ -121,18 +132,36 @@ class Simulation:
         return self.periods * round(self.world.control_period * 1e9)
 
     @property
+    def headings(self) -> Array:
+        """Headings (M,) [rad] of the dogs when the next command takes effect."""
+        world, d = self.world, self.state.d
+        if self._under_way:
+            under_way = np.array(self._under_way)
+            d = world.motion.rollout(d, under_way, world.dt, world.substeps)[-1].T
+        return world.motion.odometry(d, self.dog_velocities)[1]
+
+    @property
     def flock(self) -> Array:
         """Positions (n, 2) [m] of the sheep that have to arrive: all but strays."""
         return without_strays(self.state.x, self.world.arrival.strays)
 
     @property
     def arrived(self) -> bool:
-        """Whether the flock, rounded as it is published, is at the goal and together."""
-        x, when = single(self.state.x), self.world.arrival
+        """Whether the flock, rounded as it is published, is at the goal and together.
+
+        Where the goal is that of a field with a region: whether that has held the flock for as
+        long as the field says.
+        """
+        x, when, field = single(self.state.x), self.world.arrival, field_of(self.crowd)
+        if field.is_judge(self.goal):
+            if self._held_since is None:
+                return False
+            held = (self.periods - self._held_since) * self.control_period
+            return held > field.hold - 0.5 * self.control_period
         return arrived(x, self.goal, self.initial_spread, when)
 
     def advance(self, u: Array) -> None:
-        """Move on by one control period under the dogs' velocities u (M, 2) [m/s].
+        """Move on by one control period under commands u (M, 2) [m/s], once they take effect.
 
         Commands beyond the speed limit are projected onto it. Raises ValueError, and leaves the
         state as it was, if forces or noise would take the herd beyond all numbers.
@@ -140,15 +169,23 @@ class Simulation:
         from .noise import increments  # a program's help needs no Numba
 
         world = self.world
-        u = world.motion.project(u, world.max_speed)
+        u, *under_way = *self._under_way, world.motion.project(u, world.max_speed)
         noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)
         state = self._moved(u, noise)
         if not np.isfinite(single(np.stack([state.x, state.v]))).all():
             raise ValueError('positions and velocities must be finite in single precision')
         self._count_touches(state.dogs)
         self.state = state
-        self.dog_velocities = u
+        self.dog_velocities, self._under_way = u, under_way
         self.periods += 1
+        self._note_who_is_inside()
+
+    def _note_who_is_inside(self) -> None:
+        """Keep the control period since which the region of the field has held the flock."""
+        if not field_of(self.crowd).holds(self.flock):
+            self._held_since = None
+        elif self._held_since is None:
+            self._held_since = self.periods
 
     def _count_touches(self, dogs: Array) -> None:
         radius, before = self.world.bodies.radius, self.state.dogs[None]
@@ -161,9 +198,31 @@ class Simulation:
         from .dynamics import rollout
 
         world, t = self.world, self.nanoseconds * 1e-9
-        return rollout(
-            self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
-        ).at(-1)
+        if not len(field_of(self.crowd).bars):
+            return rollout(
+                self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
+            ).at(-1)
+        state = self.state
+        for k, each in enumerate(noise):
+            after = rollout(
+                self.crowd, state, u[None], world.dt, 1, each[None], t + k * world.dt, world.motion
+            ).at(-1)
+            state = self._stopped_by_walls(state, after)
+        return state
+
+    def _stopped_by_walls(self, before: HerdState, after: HerdState) -> HerdState:
+        """Return the state after a step, with sheep and dogs where they were that a wall stops.
+
+        Such sheep turn back.
+        """
+        field, x, v, d = field_of(self.crowd), after.x.copy(), after.v.copy(), after.d.copy()
+        sheep = field.stopped(before.x, x)
+        x[sheep] = before.x[sheep]
+        v[sheep] = field.turned_back(x[sheep], v[sheep])
+        dogs = field.stopped(before.dogs, after.dogs, self.world.bodies.radius)
+        d[dogs, :2] = before.dogs[dogs]
+        self.stops += int(dogs.sum())
+        return HerdState(x, v, d)
 
     def observe(self) -> Observation:
         """Return a noisy observation: true values plus independent Gaussian noise."""

@@ -66,6 +66,10 @@ class HerdState:
         """Positions of the dogs, (M, 2) [m]."""
         return self.d[:, :2]
 
+    def of_sheep(self, which: NDArray[np.bool_]) -> HerdState:
+        """Return the herd of those sheep alone, (N,) whether one counts."""
+        return self if which.all() else HerdState(self.x[which], self.v[which], self.d)
+
 
 @dataclass(frozen=True)
 class Trajectory:

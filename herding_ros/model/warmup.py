@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 import time
 
 import numpy as np
@@ -11,8 +12,9 @@ import numpy as np
 from . import kernels
 from .crowd import Crowd, CROWDS
 from .dynamics import physics, reverse_sweep, rollout, to_lanes
+from .errand_kernels import detours, middle
 from .linear_algebra import advance, hessian_times, smoothed, times, transposed_times
-from .motion import Holonomic
+from .motion import Holonomic, MotionModel, MOTIONS
 from .particle_mesh import ParticleMesh
 from .potentials import Mollified, Morse
 from .sampling import FineModel, free, Resolution
@@ -24,14 +26,19 @@ _STATE = HerdState(np.eye(2), np.zeros((2, 2)), np.ones((1, 2)))
 _CONTROL = np.zeros((1, 1, 2))
 
 
-def warm_up_rollout(crowd: Crowd | None = None) -> float:
+def warm_up_rollout(crowd: Crowd | None = None, motion: MotionModel = Holonomic()) -> float:
     """Call the kernels of a simulation on a tiny herd; return the seconds it took."""
     started = time.perf_counter()
-    rollout(crowd or Crowd(), _STATE, _CONTROL, 0.01)
+    rollout(crowd or Crowd(), _started(motion), _CONTROL, 0.01, motion=motion)
     return time.perf_counter() - started
 
 
-def warm_up(crowd: Crowd | None = None) -> float:
+def _started(motion: MotionModel) -> HerdState:
+    d = motion.state(_STATE.d, np.zeros(1), np.zeros((1, 2)))
+    return replace(_STATE, d=d)
+
+
+def warm_up(crowd: Crowd | None = None, motion: MotionModel = Holonomic()) -> float:
     """Call the kernels of a controller on a tiny herd; return the seconds it took."""
     started = time.perf_counter()
     crowd, state, u = crowd or Crowd(), _STATE, _CONTROL
@@ -53,10 +60,15 @@ def warm_up(crowd: Crowd | None = None) -> float:
     xs, vs, dogs = trajectory.xs, trajectory.vs, np.empty((2, 2, kernels.PATHS))
     kernels.centre_adjoints(xs, vs, d, nodes, constants, dogs)
     pair, alone = np.array([0]), np.array([-1])
-    nearest(np.ones((1, 2)), pair, alone, np.ones((1, 2)), np.ones(1), 1, 1.0)
+    apart, one, two = np.ones((1, 2, 2)), np.ones(1), np.ones((1, 2))
+    nearest(two, pair, alone, apart, one, one, two, np.inf, 1, 1.0)
     spacing(d, 1.0, 1.0, np.zeros_like(d))
-    Holonomic().project(u, 1.0)
-    Holonomic().transpose(d, u, reverse_sweep(crowd, trajectory, source), 0.01, 1)
+    middle(np.ones((1, 2)), np.empty(2))
+    detours(np.ones((1, 2)), np.ones((1, 2)), 1.0, np.empty(1), np.ones((1, 2)), np.ones((1, 2)))
+    reverse_sweep(crowd, trajectory, source)
+    motion.project(u, 1.0)
+    ds = motion.rollout(_started(motion).d, u, 0.01, 1)
+    motion.transpose(ds, u, np.zeros_like(ds), 0.01, 1)
     return time.perf_counter() - started
 
 
@@ -80,6 +92,7 @@ def main() -> None:
         for done in [pool.submit(warm_up), pool.submit(warm_up_others)]:
             done.result()
         list(pool.map(warm_up, tables))
+        list(pool.map(warm_up, [Crowd()] * len(MOTIONS), MOTIONS.values()))
     print(f'kernels ready after {time.perf_counter() - started:.1f} s')
 
 

@@ -7,7 +7,10 @@ import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import takewhile
+from pathlib import Path
+import shutil
 import sys
+import textwrap
 from typing import NoReturn
 
 from herding_ros.control.parameters import Control
@@ -15,8 +18,11 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
 
-from .settings import ControllerSettings, RecorderSettings, SimSettings
+from .settings import ControllerSettings, RecorderSettings, SimSettings, ViewSettings
 from .signals import END_WITH_STDIN, end_with_stdin
+
+_SHORTEST_MEANING = 30
+"""Least room for the meanings in a table of parameters [columns]."""
 
 _Row = tuple[str, str, str]
 """Name, default with its unit, and meaning of a parameter."""
@@ -36,7 +42,7 @@ class _Node:
 _NODES = {
     'sim': _Node(
         'Moves the herd, and publishes what sensors would observe of it.',
-        'publishes: sheep, dog_<i>/odom, truth/sheep, truth/dog_<i>/odom, /clock, markers, '
+        'publishes: sheep, dog_<i>/odom, dogs, the same below truth/, /clock, markers, '
         '/diagnostics\nsubscribes to: dog_<i>/cmd_vel, goal_pose\nservices: ~/reset, ~/pause',
         (('', SimSettings()), ('', World()), ('crowd.', Crowd())),
         (
@@ -64,6 +70,15 @@ _NODES = {
         tuple(RecorderSettings().flat()),
         'recorder --ros-args -p bag:=my_bag -p use_sim_time:=true',
     ),
+    'view': _Node(
+        'Shows a herd, its plans and its controls in the browser, or plays a recorded run.',
+        'publishes: goal_pose, /diagnostics\nsubscribes to: truth/sheep, truth/dog_<i>/odom (or '
+        'sheep, dog_<i>/odom where there is no truth), plan, herd/path, herd/goal, /diagnostics, '
+        '/parameter_events\ncalls: sim/pause, sim/reset, set_parameters of sim and controller',
+        (('', ViewSettings()),),
+        tuple(ViewSettings().flat()),
+        'view --ros-args -p port:=9000',
+    ),
 }
 
 
@@ -75,15 +90,17 @@ def answer_help(node: str) -> None:
     _parser(node).parse_known_args([*takewhile('--ros-args'.__ne__, sys.argv[1:])])
 
 
-def read(node: str, args: list[str] | None) -> None:
-    """Check the arguments of a node (default: those of the process) before it starts anything.
+def read(node: str, args: list[str] | None) -> argparse.Namespace:
+    """Return the arguments of a node (default: those of the process) that are not ROS's.
 
     Exits with code 0 after printing help, with 2 if there is an argument that is not ROS's.
     """
     parser = _parser(node)
     given = sys.argv[1:] if args is None else args
-    if parser.parse_args(_without_ros_args(given, parser.error)).end_with_stdin:
+    options = parser.parse_args(_without_ros_args(given, parser.error))
+    if options.end_with_stdin:
         end_with_stdin()
+    return options
 
 
 def _parser(node: str) -> _Parser:
@@ -92,15 +109,20 @@ def _parser(node: str) -> _Parser:
         prog=node,
         usage=f'{node} [-h] [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]',
         description=said.description,
-        epilog=f'{said.topics}\n\nsome parameters (`ros2 param describe /{node}` has all):\n'
-        + _table(_rows(said))
-        + f'\n\nexample:\n  {said.example}',
+        epilog='\n'.join(map(_wrapped, said.topics.splitlines()))
+        + '\n\n'
+        + _wrapped(f'some parameters (`ros2 param describe /{node}` has all):')
+        + f'\n{_table(_rows(said))}\n\nexample:\n  {said.example}',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         END_WITH_STDIN, action='store_true',
         help='end when the standard input ends, and so with a parent that holds a pipe to it',
     )  # fmt: skip
+    if node == 'view':
+        parser.add_argument(
+            'bag', nargs='?', type=Path, metavar='BAG', help='folder of a rosbag2 bag to play'
+        )
     return parser
 
 
@@ -130,11 +152,30 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _table(parameters: list[_Row]) -> str:
+    """Return a table; where there is no room for one, the meanings are below the names."""
     widths = [max(len(row[i]) for row in parameters) for i in (0, 1)]
+    start = sum(widths) + 6
+    if start + _SHORTEST_MEANING <= _width():
+        return '\n'.join(
+            _wrapped(meaning, f'  {name:<{widths[0]}}  {default:<{widths[1]}}  ', start * ' ')
+            for name, default, meaning in parameters
+        )
     return '\n'.join(
-        f'  {name:<{widths[0]}}  {default:<{widths[1]}}  {meaning}'
+        f'  {name}  {default}\n' + _wrapped(meaning, 6 * ' ', 6 * ' ')
         for name, default, meaning in parameters
     )
+
+
+def _wrapped(text: str, first: str = '', others: str = 4 * ' ') -> str:
+    """Return a text in lines that fit the terminal, with indents; no word is broken."""
+    return textwrap.fill(
+        text, _width(), initial_indent=first, subsequent_indent=others, break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip
+
+
+def _width() -> int:
+    return shutil.get_terminal_size().columns
 
 
 def _written(value: object) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 import difflib
 from pathlib import Path
 import re
@@ -15,7 +16,15 @@ from herding_ros.model.parameters import check, Parameters
 from herding_ros.model.simulation import World
 import yaml
 
-from .settings import ControllerSettings, ControlPreset, CrowdPreset, RecorderSettings, SimSettings
+from .settings import (
+    ControllerSettings,
+    ControlPreset,
+    CrowdPreset,
+    MotionKind,
+    RecorderSettings,
+    SimSettings,
+    ViewSettings,
+)
 
 _OF_ROS = ('use_sim_time', 'qos_overrides.')
 
@@ -102,12 +111,19 @@ def assignment(text: str) -> tuple[str, Any]:
 def checked(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return parameters of our nodes by their names, numbers with a point where they need one.
 
-    Raises ValueError for a name that no node has with this `crowd.preset`, since ROS would ignore
-    it, and for a value that is not allowed.
+    Raises ValueError for a name that no node has with this `crowd.preset` and `motion.kind`, since
+    ROS would ignore it, and for a value that is not allowed.
     """
+    kind = values.get('motion.kind', MotionKind().kind)
+    motion = MotionKind(kind).motion
     groups: list[tuple[str, Parameters]] = [
-        *(('', each) for each in (World(), SimSettings(), RecorderSettings())),
-        *(('', each) for each in (Control(), ControlPreset(), ControllerSettings())),
+        *(
+            ('', each)
+            for each in (replace(World(), motion=motion), SimSettings(), RecorderSettings())
+        ),
+        ('', ViewSettings()),
+        *(('', each) for each in (Control(motion=motion), ControlPreset(), ControllerSettings())),
+        ('motion.', MotionKind()),
         ('crowd.', CrowdPreset()),
         ('crowd.', crowd_of(values)),
     ]

@@ -20,6 +20,7 @@ from herding_ros.control.pilot import Announcement, Decision, dog_name
 from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import Status
+from herding_ros.model.motion import steered_ahead
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
 from nav_msgs.msg import Path
@@ -34,7 +35,7 @@ from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
 from .mismatches import Mismatches, twist_type
 from .observations import Observations
-from .parameters import declare, declare_control, declare_crowd
+from .parameters import declare, declare_control, declare_crowd, in_field
 from .publishing import (
     ADJUSTABLE,
     CountingPublisher,
@@ -67,19 +68,19 @@ class Controller(HerdingNode):
         """Declare parameters, load the kernels, then subscribe."""
         super().__init__('controller')
         self._settings = settings = declare(self, ControllerSettings())
-        crowd = declare_crowd(self)
+        crowd, goal = in_field(declare_crowd(self), settings)
         control = declare_control(self, crowd)
         self._control = control
         self._control_period = control.horizon.control_period
         self._decided = 0  # time of the last decision [ns]
-        planner = RecedingHorizon(crowd, control, np.array(settings.goal), settings.seed)
+        planner = RecedingHorizon(crowd, control, goal, settings.seed)
         self._pilot: LockstepPilot | RealTimePilot
         if settings.lockstep:
             kind = ExcitingPilot if settings.excite else LockstepPilot
             self._pilot = kind(planner, settings.dogs)
         else:
             self._pilot = RealTimePilot(planner, settings.dogs, settings, self._seconds)
-        self.load_kernels(partial(warm_up, crowd))
+        self.load_kernels(partial(warm_up, crowd, control.motion))
         self._mismatches = Mismatches(self)
         self._create_publishers()
         self.follow([('crowd.', crowd), ('', control)], self._pilot.adjust)
@@ -200,12 +201,15 @@ class Controller(HerdingNode):
             _LOG[event.level](self.get_logger(), event.text)
 
     def _publish_command(self, u: Array, ns: int) -> None:
-        headings = self._observations.headings
+        headings, ahead = self._observations.headings.copy(), steered_ahead(self._control.motion)
+        estimate = self._pilot.estimate
+        if ahead is not None and estimate is not None:  # as it will be when this takes effect
+            headings[list(estimate.dogs)] = estimate.state.d[:, 2]
         for m, publisher in enumerate(self._commands):
             if publisher.msg_type is TwistStamped:
-                publisher.publish(messages.command(u[m], headings[m], m + 1, ns))
+                publisher.publish(messages.command(u[m], headings[m], m + 1, ns, ahead))
             else:
-                publisher.publish(messages.twist(u[m], headings[m]))
+                publisher.publish(messages.twist(u[m], headings[m], ahead))
 
     def _publish_plan(self, announcement: Announcement) -> None:
         """Publish a plan and the paths that it is expected to lead to."""
@@ -250,6 +254,7 @@ class Controller(HerdingNode):
         mismatched = self._mismatches.report_values()
         values = {
             'dogs_silent': ' '.join(pilot.silent_dogs),
+            'dogs_disobedient': ' '.join(pilot.disobedient_dogs),
             'plans_made': pilot.plans_made,
             'feedbacks_made': pilot.feedbacks_made,
             'deadlines_missed': pilot.deadlines_missed,

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from geometry_msgs.msg import Twist
+from herding_ros.model.motion import MotionModel, steered_ahead
 from herding_ros.model.state import Array
 import numpy as np
 from rclpy.publisher import Publisher
@@ -20,7 +21,7 @@ from .settings import NodeSettings
 
 
 class DogCommands:
-    """Holds the newest good command of each dog, and refuses all others."""
+    """Holds the newest good command of each dog, in its own frame, and refuses all others."""
 
     def __init__(
         self,
@@ -28,6 +29,7 @@ class DogCommands:
         settings: NodeSettings,
         dogs: int,
         max_speed: float,
+        motion: MotionModel,
         timeout: float,
         refused: Refusals,
     ) -> None:
@@ -35,6 +37,7 @@ class DogCommands:
         self._node = node
         self._settings = settings
         self._max_speed = max_speed
+        self._ahead = steered_ahead(motion)
         self._timeout = timeout
         self._refused = refused
         self.inboxes = tuple(self._subscribe(f'dog_{m}/cmd_vel') for m in range(1, dogs + 1))
@@ -67,8 +70,10 @@ class DogCommands:
 
     def _velocity_in(self, data: bytes, m: int, now: int) -> Array:
         if self.inboxes[m - 1].subscription.msg_type is Twist:
-            return messages.twist_in(data, self._max_speed)
-        ns, velocity = messages.command_in(data, m, self._settings.frame, self._max_speed)
+            return messages.twist_in(data, self._max_speed, self._ahead)
+        ns, velocity = messages.command_in(
+            data, m, self._settings.frame, self._max_speed, self._ahead
+        )
         if self._settings.lockstep:
             if ns != now:
                 raise Refused('wrong stamp', 'its stamp must be that of the published state')

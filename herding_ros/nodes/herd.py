@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 import itertools
 import os
 from pathlib import Path
@@ -16,7 +17,9 @@ import time
 from typing import Any
 
 from herding_ros.control.lead import FASTEST, lead_at, SLOWEST
+from herding_ros.model.field import read_field, shipped_fields
 from herding_ros.model.flock import MOST_STRAYS
+from herding_ros.model.kernel_cache import has_kernels
 from herding_ros.model.parameters import LARGE, TINY
 from herding_ros.model.scenario import GOAL, MOST_DOGS, MOST_SHEEP
 from herding_ros.programs import INTERRUPTED
@@ -32,8 +35,19 @@ from .supervision import Child
 
 _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED = 0, 1, 2, 3
 
+_VIEWED, _FASTEST_VIEWED = 2.0, 10.0
+"""Multiples of real time with --view: at first, and what the controller is prepared for."""
+
 _FOR_PARAMETERS = 30.0
 """Longest time after a run in which the recorder may receive the nodes' parameters [s]."""
+
+
+_NEXT = (
+    ('look at', 'trajectories.png'),
+    ('open in a browser:', 'replay.html'),
+    ('draw again: report', 'bag'),
+)
+"""What to do with the files of a run."""
 
 
 def _number(kind: type[int] | type[float], low: float, high: float) -> Callable[[str], float]:
@@ -88,6 +102,10 @@ _OPTIONS = {
         'type': _number(float, TINY, LARGE), 'metavar': 'S',
         'help': 'simulated seconds to try (400)',
     }),
+    'field': _Option('field', {
+        'metavar': 'NAME', 'help': 'fences, obstacles, pens and the destination: '
+        f'{", ".join(shipped_fields())} or a file; its parameters count less than all others',
+    }),
 }  # fmt: skip
 
 _NODES = ('recorder', 'controller', 'sim')
@@ -137,6 +155,11 @@ def _parser() -> argparse.ArgumentParser:
         'fit can tell from the bag how sheep respond; not with --real-time',
     )  # fmt: skip
     add(
+        '--view', action='store_true',
+        help=f'show it in a browser, at {_VIEWED:g} x real time unless --real-time is given; it '
+        'then goes on until Ctrl-C, so that a click can move the destination',
+    )  # fmt: skip
+    add(
         '--out', type=Path, metavar='DIR',
         help='where to write (runs/<time>); must not hold a bag yet',
     )  # fmt: skip
@@ -160,10 +183,25 @@ def _values(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     values, defaults = {}, dict(_DEFAULTS)
     if options.excite:
         defaults['time_limit'] = _EXCITING
-    for node in _NODES:
-        of_files = {name: value for file in files for name, value in file(node, '').items()}
-        values[node] = checked({**defaults, **of_files, **assigned})
+    for node in (*_NODES, 'view'):
+        given = {name: value for file in files for name, value in file(node, '').items()}
+        given |= assigned
+        values[node] = checked({**defaults, **_of_field(given), **given})
     return values
+
+
+def _of_field(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the parameters that go with the field of a node, its destination among them."""
+    if not given.get('field'):
+        return {}
+    field, parameters = read_field(given['field'])
+    if field.place is None:
+        return parameters
+    if 'goal' in given:
+        raise ValueError(
+            f'goal must not be given with a field that has one, such as {given["field"]}'
+        )
+    return {**parameters, 'goal': field.place.tolist()}
 
 
 def _new_folder() -> Path:
@@ -202,14 +240,51 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     defaults: dict[str, Any] = {}
     if not lockstep:
         own['real_time_factor'] = options.real_time
-        defaults['lead'] = lead_at(options.real_time)
+        fastest = max(options.real_time, _FASTEST_VIEWED) if options.view else options.real_time
+        defaults['lead'] = lead_at(fastest)
     return [
         Child(node, {**defaults, **options.values[node], **own_of[node]}, logs) for node in _NODES
     ]
 
 
-def _watch(children: list[Child], watcher: Watcher, interrupted: Noted, console: Console) -> int:
-    """Show how it goes until it is over; return the exit code."""
+class _Viewing:
+    """The view, without which a run goes on, and what there is to say of it."""
+
+    def __init__(self, child: Child, watcher: Watcher, console: Console) -> None:
+        self.child = child
+        self._watcher = watcher
+        self._console = console
+        self._page = ''
+        self._outcome = ''
+
+    def goes_on(self) -> bool:
+        """Say what is new; return whether the page is there to be used."""
+        watcher, say = self._watcher, partial(self._console.print, markup=False, soft_wrap=True)
+        if watcher.page != self._page:
+            self._page = watcher.page
+            say(f'watch it at {self._page}')
+        if watcher.outcome != self._outcome:
+            self._outcome = watcher.outcome
+            if self._outcome:
+                say(f'{self._outcome}; click on another destination, or end with Ctrl-C')
+        if self.child.died:
+            say(f'the view died (exit code {self.child.process.returncode}); the run goes on:')
+            say(self.child.last_lines())
+            return False
+        return True
+
+
+def _watch(
+    children: list[Child],
+    viewing: _Viewing | None,
+    watcher: Watcher,
+    interrupted: Noted,
+    console: Console,
+) -> int:
+    """Show how it goes until it is over; return the exit code.
+
+    With a view it is not over when the flock is home: a click may send it elsewhere.
+    """
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)
     line = ProgressLine(watcher, console)
@@ -223,7 +298,10 @@ def _watch(children: list[Child], watcher: Watcher, interrupted: Noted, console:
                 finished = now
             recorded = watcher.parameters_recorded or now > finished + _FOR_PARAMETERS
             dead = [child for child in children if child.died]
-            over = (watcher.finished and recorded) or bool(dead) or interrupted.is_set()
+            if viewing and not viewing.goes_on():
+                viewing = None
+            over = watcher.finished and recorded and viewing is None
+            over = over or bool(dead) or interrupted.is_set()
             line.update(now, at_once=over)
     for child in dead:
         console.print(f'{child.name} died (exit code {child.process.returncode}):', style='red')
@@ -257,11 +335,16 @@ def _run(options: argparse.Namespace, logs: Path, console: Console) -> int:
     start_ros([])
     watcher = Watcher()
     children: list[Child] = []
+    viewing = None
     try:
         children = _start_children(options, logs)
-        code = _watch(children, watcher, interrupted, console)
+        if options.view:
+            viewing = _Viewing(Child('view', options.values['view'], logs), watcher, console)
+        code = _watch(children, viewing, watcher, interrupted, console)
         code = _conclude(options, code, watcher.outcome, console)
     finally:
+        if viewing:
+            viewing.child.end()
         for child in reversed(children):  # the recorder last, so that it receives everything
             child.end()
         watcher.destroy_node()
@@ -285,8 +368,12 @@ def main(args: list[str] | None = None) -> int:
     sheep, strays = sim['sheep'], sim['arrival.strays']
     if not strays < sheep:
         parser.error(f'argument --strays: must be less than --sheep, {sheep}, got {strays}')
-    if options.excite and options.real_time is not None:
-        parser.error('argument --excite: must not be given with --real-time: it is in lockstep')
+    if options.excite and (options.view or options.real_time is not None):
+        parser.error(
+            'argument --excite: must not be given with --real-time or --view: it is in lockstep'
+        )
+    if options.view and options.real_time is None:
+        options.real_time = _VIEWED
     console = Console(highlight=False)
     try:
         options.out = options.out.absolute() if options.out else _new_folder()
@@ -308,6 +395,8 @@ def main(args: list[str] | None = None) -> int:
     )
     if names := sorted(set().union(*options.values.values()) & _OWN - {'use_sim_time'}):
         console.print(f'herd itself sets {", ".join(names)}: what a file says does not count')
+    if not has_kernels():
+        console.print('kernels are compiled first, once, for up to a minute; see log/')
     code = _run(options, logs, console)
     if (options.out / 'bag').exists():
         from herding_ros.report.cli import write_report  # it takes a second to load: not before
@@ -316,7 +405,21 @@ def main(args: list[str] | None = None) -> int:
             write_report(options.out / 'bag', options.out, console)
         except (OSError, ValueError) as error:
             console.print(f'no report: {error}', style='red', soft_wrap=True)
+    if code in (_ARRIVED, _TIMED_OUT):
+        _tell_what_next(options, code, console)
     return code
+
+
+def _tell_what_next(options: argparse.Namespace, code: int, console: Console) -> None:
+    """Say what to do after a run, in lines for 40 columns where the folder's name is short."""
+    folder = min(os.path.relpath(options.out), str(options.out), key=len)
+    lines = [f'{what} {folder}/{name}' for what, name in _NEXT if (options.out / name).exists()]
+    if code == _TIMED_OUT:
+        lines.append('why flocks do not arrive: doc/troubleshooting.md')
+    lines.append(f'another flock: --seed {options.values["sim"]["seed"] + 1}')
+    console.print(
+        'next:', *(f'  {line}' for line in lines), sep='\n', markup=False, soft_wrap=True
+    )
 
 
 if __name__ == '__main__':

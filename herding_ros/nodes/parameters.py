@@ -11,14 +11,19 @@ from typing import Any, TypeVar
 from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.control.scale import Scale
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.field import read_field
 from herding_ros.model.parameters import check, describe_limits, Entry, Parameters
+from herding_ros.model.simulation import World
+from herding_ros.model.state import Array
+import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
-from .settings import ControlPreset, CrowdPreset
+from .settings import ControlPreset, CrowdPreset, MotionKind, NodeSettings
 
 _P = TypeVar('_P', bound=Parameters)
+_Herd = TypeVar('_Herd', World, Control)
 
 
 def declare(node: Node, defaults: _P, prefix: str = '') -> _P:
@@ -37,17 +42,28 @@ def declare_crowd(node: Node) -> Crowd:
     return declare(node, declare(node, CrowdPreset(), 'crowd.').crowd, 'crowd.')
 
 
+def in_field(crowd: Crowd, settings: NodeSettings) -> tuple[Crowd, Array]:
+    """Return a crowd in the field of a node, and the destination (2,) [m]: the field's, if any."""
+    if not settings.field:
+        return crowd, np.array(settings.goal)
+    field, _ = read_field(settings.field)
+    goal = np.array(settings.goal) if field.place is None else field.place
+    return field.around(crowd), goal
+
+
 def declare_control(node: Node, crowd: Crowd) -> Control:
     """Declare the method of the controller: `preset` gives the defaults of its parameters."""
     return declare_scaled(node, CONTROLS[declare(node, ControlPreset()).preset], crowd)
 
 
-def declare_scaled(node: Node, reference: _P, crowd: Crowd) -> _P:
+def declare_scaled(node: Node, reference: _Herd, crowd: Crowd) -> _Herd:
     """Declare what has a `max_speed` of dogs, with defaults that fit that and the crowd.
 
     `reference` are the defaults in the reference scenario; see `Scale`. Where they are others, the
-    log says so.
+    log says so. The motion is that of `motion.kind`.
     """
+    motion = declare(node, MotionKind(), 'motion.').motion
+    reference = dataclasses.replace(reference, motion=motion)
     (limit,) = (entry for entry in reference.walk() if entry.name == 'max_speed')
     speed = _declare_entry(node, limit)
     scale = Scale.of(crowd, speed)

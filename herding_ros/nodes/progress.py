@@ -26,6 +26,8 @@ class Watcher(Node):
         self.sim: dict[str, str] = {}
         self.plan: dict[str, str] = {}
         self.recorder: dict[str, str] = {}
+        self.page = ''
+        """Where the view shows it; '' before there is one."""
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -37,6 +39,8 @@ class Watcher(Node):
                 self.plan = values
             elif status.name == 'recorder: bag':
                 self.recorder = values
+            elif status.name == 'view: page':
+                self.page = values.get('url', '')
 
     @property
     def parameters_recorded(self) -> bool:
@@ -93,21 +97,35 @@ class ProgressLine:
         if not at_once and now - self._shown <= (_LIVE_PERIOD if self._live else _LINE_PERIOD):
             return
         self._shown = now
-        line = Text(self._line(now - self._begun), no_wrap=True)
+        elapsed = now - self._begun
         if self._live:
-            self._live.update(line, refresh=True)
+            line = self._line(elapsed)
+            if len(line) > self._console.width:
+                line = self._short_line(elapsed)
+            self._live.update(Text(line, no_wrap=True), refresh=True)
         else:
-            self._console.print(line, soft_wrap=True)
+            self._console.print(Text(self._line(elapsed)), soft_wrap=True)
 
     def _line(self, elapsed: float) -> str:
         watcher = self._watcher
         if not watcher.sim:
-            return 'starting the nodes ...'
-        simulated = watcher.time - self._first_time
-        pace = f'{simulated / elapsed:4.1f}' if simulated > 0.0 else '   -'
+            return self._short_line(elapsed)
         distance, spread = (float(watcher.sim[key]) for key in ('distance_m', 'spread_m'))
         solve = f'{float(watcher.plan["solve_ms"]):.0f} ms' if watcher.plan else '-'
         return (
             f't {watcher.time:5.1f} s  to go {distance:5.3f} m  spread {spread:5.3f} m  '
-            f'solve {solve:>6}  {pace} x real time'
+            f'solve {solve:>6}  {self._pace(elapsed)} x real time'
         )
+
+    def _short_line(self, elapsed: float) -> str:
+        """Return a line for a terminal of 40 columns."""
+        watcher = self._watcher
+        if not watcher.sim:
+            return 'starting the nodes ...'
+        to_go = f'{float(watcher.sim["distance_m"]):5.3f} m to go'
+        return f'{watcher.time:5.1f} s  {to_go}  {self._pace(elapsed)} x'
+
+    def _pace(self, elapsed: float) -> str:
+        """Return simulated seconds per second."""
+        simulated = self._watcher.time - self._first_time
+        return f'{simulated / elapsed:4.1f}' if simulated > 0.0 else '   -'

@@ -8,6 +8,7 @@ import dataclasses
 from herding_ros.control.lead import FASTEST, SLOWEST
 from herding_ros.control.parameters import CONTROLS, Timing
 from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.motion import MotionModel, MOTIONS
 from herding_ros.model.parameters import Parameters, quantity, TINY
 from herding_ros.model.scenario import GOAL, MOST_DOGS
 
@@ -16,7 +17,13 @@ from herding_ros.model.scenario import GOAL, MOST_DOGS
 class NodeSettings(Parameters):
     """What sim and controller have in common as ROS nodes."""
 
-    goal: tuple[float, float] = quantity(GOAL, 'destination; goal_pose moves it', 'm')
+    goal: tuple[float, float] = quantity(
+        GOAL, 'destination, unless the field has one; goal_pose moves it', 'm'
+    )
+    field: str = quantity(
+        '',
+        'fences, obstacles and pens: a file, or the name of a field of the package; empty: none',
+    )
     frame: str = quantity('map', 'frame of all positions')
     lockstep: bool = quantity(
         False,
@@ -111,6 +118,22 @@ class RecorderSettings(Parameters):
 
 
 @dataclasses.dataclass(frozen=True)
+class ViewSettings(Parameters):
+    """Where the view serves its page."""
+
+    host: str = quantity(
+        '127.0.0.1',
+        'address of the page: that of this machine alone, or 0.0.0.0 for everybody in its '
+        'networks, who may then do what the page can',
+    )
+    port: int = quantity(
+        8080, 'port of the page; the next that is free if it is not', low=1, high=65535
+    )
+    frame: str = quantity('map', 'frame of all positions')
+    browser: bool = quantity(True, 'open the page in a browser, where there is a screen')
+
+
+@dataclasses.dataclass(frozen=True)
 class CrowdPreset(Parameters):
     """Where the crowd's defaults come from."""
 
@@ -128,6 +151,24 @@ class CrowdPreset(Parameters):
     def crowd(self) -> Crowd:
         """The crowd whose values are the defaults."""
         return CROWDS[self.preset].rescaled(self.length, self.time)
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionKind(Parameters):
+    """Which motion dogs have; its own parameters are declared with it."""
+
+    kind: str = quantity(
+        'holonomic',
+        'how dogs move: with the velocity that is commanded at once (holonomic); within what '
+        'motion.acceleration allows (accelerating); or ahead and back, and where else only after '
+        'turning (unicycle)',
+        choices=tuple(MOTIONS),
+    )
+
+    @property
+    def motion(self) -> MotionModel:
+        """The motion with its default values."""
+        return MOTIONS[self.kind]
 
 
 @dataclasses.dataclass(frozen=True)

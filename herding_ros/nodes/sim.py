@@ -10,6 +10,7 @@ import sys
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.field import field_of
 from herding_ros.model.flock import distance, spread
 from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
@@ -30,7 +31,7 @@ from .duplicates import ANOTHER_CLOCK, sole_publisher
 from .herding_node import HerdingNode
 from .mismatches import Mismatches
 from .pacing import Lockstep, Pace, RealTime
-from .parameters import declare, declare_crowd, declare_scaled
+from .parameters import declare, declare_crowd, declare_scaled, in_field
 from .publishing import (
     ADJUSTABLE,
     CLOCK,
@@ -61,21 +62,21 @@ class Sim(HerdingNode):
         # It makes the time, and has no use for it; one file may tell all nodes to use it.
         super().__init__('sim', parameter_overrides=[Parameter('use_sim_time', value=False)])
         self._settings = settings = declare(self, SimSettings())
-        crowd = declare_crowd(self)
+        crowd, goal = in_field(declare_crowd(self), settings)
         world = declare_scaled(self, World(), crowd)
-        self.load_kernels(partial(warm_up_rollout, crowd))
+        self.load_kernels(partial(warm_up_rollout, crowd, world.motion))
         start = None
         if settings.start_from:
             start = read_start(Path(settings.start_from).expanduser(), settings.start_at)
         self._run = SimulatedRun(
-            crowd, world, np.array(settings.goal), settings.stop_on_arrival, settings.time_limit,
-            start,
+            crowd, world, goal, settings.stop_on_arrival, settings.time_limit, start
         )  # fmt: skip
         self._pace: Pace | None = None
         self._create_publishers(world.dogs)
         self._commands = DogCommands(
-            self, settings, world.dogs, world.max_speed, settings.command_timeout, self._refused
-        )
+            self, settings, world.dogs, world.max_speed, world.motion, settings.command_timeout,
+            self._refused,
+        )  # fmt: skip
         self._mismatches = Mismatches(self)
         if not settings.lockstep:
             self._mismatches.follow(self._commands.inboxes)
@@ -104,6 +105,9 @@ class Sim(HerdingNode):
         self._sheep = publish(PointCloud2, 'sheep')
         self._dogs = [publish(Odometry, f'dog_{m}/odom') for m in numbers]
         self._true_dogs = [publish(Odometry, f'truth/dog_{m}/odom') for m in numbers]
+        # All at once, for viewers that draw clouds.
+        self._dog_cloud = publish(PointCloud2, 'dogs')
+        self._true_dog_cloud = publish(PointCloud2, 'truth/dogs')
         self._markers = publish(MarkerArray, 'markers')
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
 
@@ -111,6 +115,7 @@ class Sim(HerdingNode):
         """Publish the first state once its subscribers are matched."""
         settings, sensors = self._settings, [self._sheep, *self._dogs]
         everything = [*sensors, self._true_sheep, *self._true_dogs]
+        everything += [self._dog_cloud, self._true_dog_cloud]
         everything += [self._tick, self._markers, self._diagnostics]
         needs_commands = settings.lockstep or settings.wait_for
         if needs_commands and not self._commands.come_from_listeners(sensors):
@@ -169,7 +174,11 @@ class Sim(HerdingNode):
     # What goes out.
 
     def _advance(self, u: Array) -> None:
-        self._run.advance(u)
+        """Move on under commands u (M, 2) [m/s] in the body frames of the dogs."""
+        headings = self._run.simulation.headings
+        self._run.advance(
+            np.array([messages.turned(*each) for each in zip(u, -headings, strict=True)])
+        )
         if self._run.finished:
             log = self.get_logger()
             if self._run.failed:
@@ -192,27 +201,35 @@ class Sim(HerdingNode):
         ns, true, u = simulation.nanoseconds, simulation.state, simulation.dog_velocities
         seen = simulation.observe()
         self._tick.publish(ClockMessage(clock=messages.stamp_of(ns)))
-        self._publish_dogs(self._dogs, seen.state.d, seen.dog_velocities)
+        self._publish_dogs(self._dogs, self._dog_cloud, seen.state.d, seen.dog_velocities)
         self._sheep.publish(messages.cloud(seen.state.x, seen.state.v, ns, frame))
         self._true_sheep.publish(messages.cloud(true.x, true.v, ns, frame))
-        self._publish_dogs(self._true_dogs, true.d, u)
+        self._publish_dogs(self._true_dogs, self._true_dog_cloud, true.d, u)
         if simulation.periods % _PERIODS_PER_MARKER == 0:
             goal = self._run.goal
             self._markers.publish(
                 messages.marker_array(
-                    true.x, true.dogs, goal, self._run.world.arrival.radius, ns, frame
+                    true.x,
+                    true.dogs,
+                    goal,
+                    self._run.world.arrival.radius,
+                    ns,
+                    frame,
+                    field_of(simulation.crowd).outline,
                 )
             )
 
-    def _publish_dogs(self, publishers: list[Publisher], d: Array, u: Array) -> None:
+    def _publish_dogs(
+        self, publishers: list[Publisher], cloud: Publisher, d: Array, u: Array
+    ) -> None:
         """Publish odometry of dogs in states d (M, S) with velocities u (M, 2) [m/s]."""
         simulation, frame = self._run.simulation, self._settings.frame
-        dogs = zip(*simulation.world.motion.odometry(d, u), strict=True)
-        for m, (publisher, dog) in enumerate(zip(publishers, dogs, strict=True), start=1):
-            position, heading, velocity = dog
-            publisher.publish(
-                messages.odometry(position, velocity, m, simulation.nanoseconds, frame, heading)
-            )
+        ns = simulation.nanoseconds
+        places, headings, velocities = simulation.world.motion.odometry(d, u)
+        dogs = zip(publishers, places, headings, velocities, strict=True)
+        for m, (publisher, place, heading, velocity) in enumerate(dogs, start=1):
+            publisher.publish(messages.odometry(place, velocity, m, ns, frame, heading))
+        cloud.publish(messages.cloud(places, velocities, ns, frame, first=1))
 
     def _publish_diagnostics(self) -> None:
         simulation, goal = self._run.simulation, self._run.goal
@@ -228,10 +245,12 @@ class Sim(HerdingNode):
             'periods_skipped': skipped,
             'closest_dogs_m': simulation.closest_dogs,
             'touches': simulation.touches,
+            'stops_at_walls': simulation.stops,
             **self._refused.report_values(),
             **mismatched,
         }
-        good = not (self._refused.counts or mismatched or skipped or simulation.touches)
+        bumps = simulation.touches + simulation.stops
+        good = not (self._refused.counts or mismatched or skipped or bumps)
         level = DiagnosticStatus.OK if good else DiagnosticStatus.WARN
         level = DiagnosticStatus.ERROR if self._run.failed else level
         self._diagnostics.publish(

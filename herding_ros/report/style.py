@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import os
 from pathlib import Path
 from typing import Any
 
+from herding_ros.model.field import Field
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 import numpy as np
 
 # Blue and red of this lightness stay apart with any kind of colour vision, and in grey.
@@ -53,6 +56,19 @@ def draw_paths(axes: Axes, dogs: Any, centre: Any, label: str | None = None) -> 
     axes.plot(*np.transpose(centre), color=BLUE, linewidth=1.6, label=label)
 
 
+def draw_walls(axes: Axes, field: Field) -> None:
+    """Draw fences, obstacles and discs, and the region that has to hold all sheep."""
+    if len(field.goal) > 2:
+        axes.fill(*np.transpose(field.goal), color=GREY, alpha=0.12, linewidth=0)
+    for corners in field.obstacles:
+        axes.fill(*np.transpose(corners), color=GREY, alpha=0.5, linewidth=0)
+    for ax, ay, bx, by, radius in field.bars:
+        if radius:
+            axes.add_patch(Circle((ax, ay), radius, color=GREY, alpha=0.5, linewidth=0))
+        else:
+            axes.plot([ax, bx], [ay, by], color='black', linewidth=1.5, solid_capstyle='round')
+
+
 def draw_herd(
     axes: Axes,
     x: Any,
@@ -78,8 +94,19 @@ def draw_herd(
     axes.plot(*np.transpose(d), '^', color=RED, markersize=2 * size, label=labels[1], **common)
 
 
+def number_dogs(axes: Axes, d: Any, numbers: Iterable[int]) -> None:
+    """Write its number beside each dog at d (M, 2) [m], but for those without a place."""
+    for place, number in zip(np.asarray(d), numbers, strict=True):
+        if np.isfinite(place).all():
+            axes.annotate(
+                str(number), place, (4, 4), textcoords='offset points', fontsize=8,
+                annotation_clip=True,
+            )  # fmt: skip
+
+
 def draw_goal(axes: Axes, goal: Any, size: float = 9.0, label: str | None = None) -> None:
-    """Draw a cross at the goal (2,) [m], if there is one; both axes have the same scale."""
+    """Draw a cross at the goal (2,) [m], if there is one; both axes, in metres, have one scale."""
     if goal is not None:
         axes.plot(*goal, 'x', color='black', markersize=size, markeredgewidth=2, label=label)
     axes.set_aspect('equal', adjustable='datalim')
+    axes.set(xlabel='x [m]', ylabel='y [m]')

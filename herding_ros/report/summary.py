@@ -9,6 +9,7 @@ from typing import Any
 from herding_ros.bag.notes import Notes
 from herding_ros.bag.recorded_run import Array, RecordedRun
 from herding_ros.model.bodies import Body, closest, touches
+from herding_ros.model.field import Field, NO_FIELD, read_field
 from herding_ros.model.flock import Arrival, arrived, distance, spread, without_strays
 import numpy as np
 
@@ -25,6 +26,36 @@ def arrival(run: RecordedRun) -> tuple[Arrival, tuple[str, ...]]:
     except ValueError as error:
         notes.add(f'the arrival is judged by the default parameters: {error}')
         return usual, notes.lines()
+
+
+def field(run: RecordedRun) -> tuple[Field, tuple[str, ...]]:
+    """Return the field of a run, by the sim's parameter in the bag, and notes on it.
+
+    The bag has its name or file only: where that is not what it was, nor is this.
+    """
+    name, notes = run.parameters.get(f'{run.namespace}/sim', {}).get('field'), Notes()
+    try:
+        return (read_field(name)[0] if name and isinstance(name, str) else NO_FIELD), ()
+    except ValueError as error:
+        notes.add(f'the field is not drawn, and does not count: {error}')
+        return NO_FIELD, notes.lines()
+
+
+def homes(run: RecordedRun) -> list[int]:
+    """Return the states in which the flock had arrived, as the sim judges."""
+    goal, place = run.goal, field(run)[0]
+    if goal is None:
+        return []
+    if not place.is_judge(goal):
+        at_first, when = initial_spread(run), arrival(run)[0]
+        seen = [x[seen] for x, seen in zip(run.x, run.seen, strict=True)]
+        return [k for k, x in enumerate(seen) if arrived(x, goal, at_first, when)]
+    found, since, rounding = [], np.inf, 1e-6
+    for k, t in enumerate(run.times):
+        since = min(since, t) if place.holds(flock(run, k)) else np.inf
+        if t - since > place.hold - rounding:
+            found.append(k)
+    return found
 
 
 def radius_of_dogs(run: RecordedRun) -> float:
@@ -50,6 +81,14 @@ def over_time(observable: Callable[[Array], Array], run: RecordedRun) -> Array:
     return np.array([observable(without_strays(x[here], strays)) for x, here in seen])
 
 
+def distances(run: RecordedRun) -> Array:
+    """Return the distance of the flock from the destination (T,) [m], NaN if there is none."""
+    goal = run.goal
+    if goal is None:
+        return np.full(len(run.times), np.nan)
+    return over_time(lambda x: distance(x, goal), run)
+
+
 def initial_spread(run: RecordedRun) -> float:
     """Return the spread of the flock [m] when first all, or most, of it was seen."""
     return float(spread(flock(run, int(np.argmax(run.seen.sum(axis=1))))))
@@ -58,7 +97,7 @@ def initial_spread(run: RecordedRun) -> float:
 def summarise(run: RecordedRun) -> dict[str, Any]:
     """Return the run's result as plain values for JSON; unknown values are None.
 
-    time_s is when the flock arrived, by `arrival`, else the length of the run. It is judged by
+    time_s is when the flock arrived, see `homes`, else the length of the run. It is judged by
     the sheep that are seen, of which `sheep` is the largest number, and so are distance and
     spread. replans is how many were made, whether or not they are in the bag; feedbacks how many
     of those that are in it were made between two windows. closest_dogs_m is the smallest distance
@@ -68,7 +107,7 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
     at_first = initial_spread(run)
     when, notes = arrival(run)
     seen = [x[seen] for x, seen in zip(run.x, run.seen, strict=True)]
-    home = [k for k, x in enumerate(seen) if goal is not None and arrived(x, goal, at_first, when)]
+    home = homes(run)
     solve_ms = {
         kind: [
             replan.solve_ms
@@ -104,7 +143,7 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
         **when.flat('arrival.'),
         'namespace': run.namespace or '/',
         'version': run.version,
-        'notes': [*run.notes, *notes],
+        'notes': [*run.notes, *notes, *field(run)[1]],
     }
 
 

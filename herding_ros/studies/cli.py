@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 
+from herding_ros.model.kernel_cache import has_kernels
 from herding_ros.model.parameters import LARGE
 from herding_ros.programs import INTERRUPTED
 from rich.console import Console
@@ -149,9 +150,16 @@ def main(args: list[str] | None = None) -> int:
                     f'{len(without)} tasks are left out, since they need DATA: study real DATA; '
                     'its page says where the data are published'
                 )
+            if todo and not has_kernels():
+                console.print('kernels are compiled first, once, for up to a minute')
             if todo:
                 failed = _compute(todo, store, console, given.jobs, given.scheduler)
         _write(given.name, tasks_of, store, given.out, console)
+        console.print(f'next: look at the pages, and the figures in {given.out}/figures')
+        if given.quick:
+            usual = Options(given.seeds, given.paths, sigma=sigmas)
+            cost = sum(task.cost for name in names for task in STUDIES[name].tasks(usual))
+            console.print(f'these sizes are tiny; without --quick: {_duration(cost)} of one core')
     except KeyboardInterrupt:
         console.print('interrupted; all results so far are stored, and the same command resumes')
         return INTERRUPTED

@@ -10,6 +10,7 @@ from herding_ros.control.parameters import Weights
 from herding_ros.model.alignment import Alignment
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.mean_field import mean_field
+from herding_ros.model.motion import Accelerating, MotionModel, Unicycle
 from herding_ros.model.potentials import PowerLaw
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -142,6 +143,18 @@ def test_dogs_may_move_in_other_ways(problem: Callable[..., Problem]) -> None:
     cart = dataclasses.replace(coarse, state=herd, motion=Cart())
     assert_second_order((cart, objective, 10.0 * u))
     assert_sensitivity(cart, 10.0 * u, 7)
+
+
+@pytest.mark.parametrize('motion', [Accelerating(acceleration=0.5), Unicycle(ahead=0.05)])
+def test_taylor_remainder_is_of_second_order_for_each_motion(
+    problem: Callable[..., Problem], motion: MotionModel
+) -> None:
+    coarse, objective, u = problem('cohesive', 9, 3, 5)
+    odometry = coarse.state.d, np.array([0.0, 1.0, -2.0]), np.full((3, 2), 0.1)
+    herd = dataclasses.replace(coarse.state, d=motion.state(*odometry))
+    coarse = dataclasses.replace(coarse, state=herd, motion=motion)
+    assert_second_order((coarse, objective, u))
+    assert_sensitivity(coarse, u, 7)
 
 
 @presets

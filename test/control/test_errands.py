@@ -10,9 +10,12 @@ from herding_ros.control.costs.check import taylor_orders
 from herding_ros.control.costs.cost_to_go import CostToGo
 from herding_ros.control.detour import detour
 from herding_ros.control.errands import behind_each, Errands
+from herding_ros.control.parameters import Bodies
 from herding_ros.control.reach import Reach
+from herding_ros.control.ways import Ways
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
+from herding_ros.model.field import Field
 from herding_ros.model.potentials import Morse
 from herding_ros.model.state import HerdState
 import numpy as np
@@ -132,3 +135,38 @@ def test_dogs_out_of_reach_are_drawn_to_the_flock() -> None:
     _, by = cost.value_and_derivatives(played, np.zeros((1, 1, 2)))
     assert by.d is not None
     assert by.d[-1, 0, 0] > 0.0
+
+
+# Two strays, one of them behind a fence, whose end is at (0.5, 0.9).
+FENCE = Field(fences=(((0.5, -2.0), (0.5, 0.9)),))
+BEHIND = HerdState(
+    np.concatenate([herd(0, 2).x, [[1.5, 0.0], [-1.5, 0.2]]]), np.zeros((14, 2)), herd(0, 2).d
+)
+
+
+def among_walls() -> Errands:
+    ways = Ways.of(FENCE, Bodies(), BEHIND.x, GOAL)
+    return Errands.of(REACH, BEHIND, GOAL, ways)
+
+
+def test_a_stray_behind_a_fence_is_led_round_it() -> None:
+    errands = among_walls()
+    here = int(np.flatnonzero(errands.sheep == 12)[0])
+    assert list(np.isnan(errands.via[:, 0])) == [k != here for k in range(2)]
+    turn, place = errands.via[here], errands.place(BEHIND.x)
+    np.testing.assert_allclose(turn, [0.5, 1.0], atol=0.12)  # round the end of the fence
+    assert turn[1] > 0.9
+    direct = np.linalg.norm(turn - place)
+    assert direct <= errands.rest[here] < 1.1 * direct
+    np.testing.assert_array_equal(errands.places(BEHIND.x)[1 - here], place)
+
+
+def test_derivatives_of_the_cost_of_strays_behind_a_fence() -> None:
+    cost = CostToGo(among_walls(), 3.0, 0.05)
+    rng = np.random.default_rng(1)
+    u = rng.normal(0.0, 0.05, (4, 2, 2))
+    trajectory = rollout(Crowd(), BEHIND, u, 0.1, 2)
+    assert min(taylor_orders(cost, trajectory, u, rng)) > 1.9
+    free = CostToGo(Errands.of(REACH, BEHIND, GOAL), 3.0, 0.05)
+    values = [each.value_and_derivatives(trajectory, u)[0] for each in (cost, free)]
+    assert values[0] > values[1]  # a longer way

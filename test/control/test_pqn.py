@@ -150,3 +150,18 @@ def test_curvature_that_is_known_saves_evaluations() -> None:
             u = found.u
         calls[known] += found.calls
     assert calls[True] < calls[False]
+
+
+def test_hessian_goes_on_with_what_fits() -> None:
+    """It begins with what is known of controls of its shape; what it learns stays its own."""
+    rng = np.random.default_rng(0)
+    shape, along = (20, 2, 2), np.ones((20, 4))
+    known = Hessian()
+    known.update(step := rng.standard_normal(shape), 2.0 * step)
+    before = known.times(along)
+    again = known.continued(shape)
+    assert np.array_equal(again.times(along), before)
+    again.update(step := rng.standard_normal(shape), 3.0 * step)
+    assert not np.array_equal(again.times(along), before)
+    assert np.array_equal(known.times(along), before)
+    assert not known.continued((20, 1, 2)).known

@@ -29,7 +29,7 @@ from herding_ros.model.bodies import closest
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.expectation import mean_centre
-from herding_ros.model.flock import centre, spread
+from herding_ros.model.flock import Allowance, centre, spread
 from herding_ros.model.motion import Holonomic
 from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
@@ -501,3 +501,20 @@ def test_plans_keep_dogs_apart() -> None:
     bodies = Control().bodies
     assert without < bodies.separation
     assert spaced > bodies.separation + bodies.margin
+
+
+def test_sheep_that_may_be_left_are_not_fetched() -> None:
+    """Nor do they count: the plans are those for the herd without them."""
+    state = herd(9, 3)
+    away = np.array([[-2.0, 1.0], [0.5, 2.5]])
+    x, v = np.concatenate([away[:1], state.x, away[1:]]), np.zeros((11, 2))
+    v[1:-1] = state.v
+    control = without_mapping(dataclasses.replace(SMALL, arrival=Allowance(strays=2)))
+    planner = RecedingHorizon(Crowd(), control, GOAL)
+    other = RecedingHorizon(Crowd(), without_mapping(SMALL), GOAL)
+    for found, expected in (
+        (planner.solve(HerdState(x, v, state.d), 0.0), other.solve(state, 0.0)),
+        (planner.improve(HerdState(x, v, state.d), 1.0), other.improve(state, 1.0)),
+    ):
+        np.testing.assert_array_equal(found.plan.u, expected.plan.u)
+        np.testing.assert_array_equal(found.centre, expected.centre)

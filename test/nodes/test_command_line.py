@@ -7,6 +7,7 @@ from importlib import import_module
 import subprocess
 import sys
 
+from herding_ros.nodes.command_line import _NODES
 import pytest
 import rclpy
 
@@ -25,6 +26,21 @@ def test_help_is_printed_and_nothing_is_started(
     for words in (f'usage: {name} ', '/diagnostics', 'subscribes to', f'{name} --ros-args -p'):
         assert words in text
     assert not rclpy.ok()
+
+
+@pytest.mark.parametrize('name', EVERY_NODE)
+@pytest.mark.parametrize('columns', [40, 80])
+def test_help_fits_the_terminal_and_breaks_no_name(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str, columns: int
+) -> None:
+    monkeypatch.setenv('COLUMNS', str(columns))
+    with pytest.raises(SystemExit):
+        import_module(f'herding_ros.nodes.{name}').main(['--help'])
+    text = capsys.readouterr().out.partition('example:')[0].partition('options:')[2]
+    assert max(map(len, text.splitlines())) <= columns
+    said = _NODES[name]
+    for word in (*said.topics.split(), *said.parameters):
+        assert word in text.split()
 
 
 @pytest.mark.parametrize('name', EVERY_NODE)

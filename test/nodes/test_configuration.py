@@ -41,6 +41,8 @@ def test_what_is_no_assignment_is_refused(text: str) -> None:
         ({'crowd.dog.stiffness': 0.1}, 'no node has a parameter crowd.dog.stiffness'),
         ({'max_speed': -1.0}, 'parameter max_speed must be from 1e-09 to 1e+09, got -1.0'),
         ({'goal': 3.0}, 'parameter goal must be 2 numbers from -1e+09 to 1e+09, got 3.0'),
+        ({'motion.turn_rate': 0.1}, 'no node has a parameter motion.turn_rate'),
+        ({'motion.kind': 'hover'}, 'MotionKind.kind must be holonomic or '),
         ({'crowd.preset': 'wolves'}, 'CrowdPreset.preset must be cohesive or '),
     ],
 )
@@ -54,6 +56,11 @@ def test_numbers_get_the_point_that_ros_asks_for() -> None:
     assert found == {'max_speed': 4.0, 'goal': (10.0, 10.0), 'sheep': 7, 'use_sim_time': True}
     assert type(found['max_speed']) is float
     assert {type(each) for each in found['goal']} == {float}
+
+
+def test_a_motion_brings_its_own_parameters() -> None:
+    values = {'motion.kind': 'unicycle', 'motion.turn_rate': 1}
+    assert checked(values) == {'motion.kind': 'unicycle', 'motion.turn_rate': 1.0}
 
 
 def test_parameters_belong_to_the_preset() -> None:

@@ -28,6 +28,7 @@ from geometry_msgs.msg import (
 )
 from herding_ros.checks import check_goal, Refused
 from herding_ros.control.plan import Plan
+from herding_ros.model.field import Field
 from herding_ros.nodes import messages
 from herding_ros.nodes import refusals as refusals_module
 from herding_ros.nodes.refusals import Refusals
@@ -669,6 +670,26 @@ def test_command_to_an_aligned_dog_keeps_every_bit(u: np.ndarray, big: bool) -> 
     assert np.array_equal(messages.twist_in(data, SPEED), u)
 
 
+def test_a_dog_that_has_to_turn_is_told_speed_and_turn_rate() -> None:
+    """It looks along +y; a point 0.1 m ahead of it is to move along (0.03, 0.02) in the map."""
+    data = messages.command(np.array([0.03, 0.02]), math.pi / 2, 1, 7, 0.1)
+    message = deserialize_message(data, TwistStamped).twist
+    assert message.linear.x == pytest.approx(0.02)
+    assert message.linear.y == 0.0
+    assert message.angular.z == pytest.approx(-0.3)  # to the right
+    for found in (
+        messages.command_in(data, 1, 'map', SPEED, 0.1)[1],
+        messages.twist_in(
+            serialize_message(messages.twist(np.array([0.03, 0.02]), math.pi / 2, 0.1)), SPEED, 0.1
+        ),
+    ):
+        assert messages.turned(found, -math.pi / 2) == pytest.approx((0.03, 0.02))
+    quick = serialize_message(Twist(angular=Vector3(z=1.0)))
+    with pytest.raises(Refused, match=r'at most 0\.05 m/s at the point that is steered, got 0\.1'):
+        messages.twist_in(quick, SPEED, 0.1)
+    assert not messages.twist_in(quick, SPEED).any()
+
+
 @given(turns, turns)
 def test_full_speed_is_not_too_fast_in_any_direction(direction: float, heading: float) -> None:
     u = SPEED * np.array([math.cos(direction), math.sin(direction)])
@@ -807,3 +828,15 @@ def test_markers_show_sheep_dogs_and_goal() -> None:
     cross = np.array([(p.x, p.y) for p in shown['goal'].points])
     assert np.allclose(cross.mean(axis=0), (7.0, 8.0))
     assert np.allclose(np.abs(cross - (7.0, 8.0)), 0.5)
+    assert 'walls' not in shown
+
+
+def test_markers_show_walls() -> None:
+    field = Field(fences=(((1.0, 2.0), (3.0, 4.0)),), discs=((5.0, 5.0, 0.5),))
+    x = np.ones((1, 2))
+    drawn = messages.marker_array(x, x, x[0], 0.5, 0, 'map', field.outline)
+    (walls,) = [each for each in drawn.markers if each.ns == 'walls']
+    ends = np.array([(p.x, p.y) for p in walls.points])
+    assert ends[:2].tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert np.allclose(np.linalg.norm(ends[2:] - 5.0, axis=1), 0.5)
+    assert np.array_equal(ends[3:-1:2], ends[4::2])  # a closed ring

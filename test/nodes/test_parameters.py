@@ -13,6 +13,7 @@ from typing import Any
 from geometry_msgs.msg import TwistStamped
 from herding_ros.control.parameters import Bodies, Control, Weights
 from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.motion import Unicycle
 from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.potentials import Harmonic
@@ -20,7 +21,7 @@ from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import messages
 from herding_ros.nodes.herding_node import HerdingNode
 from herding_ros.nodes.middleware import start_ros
-from herding_ros.nodes.parameters import declare, declare_crowd
+from herding_ros.nodes.parameters import declare, declare_crowd, declare_scaled
 from herding_ros.nodes.settings import (
     ControllerSettings,
     ControlPreset,
@@ -256,6 +257,20 @@ def test_a_preset_brings_the_parameters_of_its_own_potentials(domain: int) -> No
         preset = CROWDS['independent']
         assert declare_crowd(node) == dataclasses.replace(preset, dog=Harmonic(reach=0.6))
         assert not node.has_parameter('crowd.dog.repulsion')
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
+
+
+def test_a_motion_brings_its_own_parameters_at_the_scale_of_the_herd(domain: int) -> None:
+    given = ['motion.kind:=unicycle', 'motion.turn_rate:=0.7', 'max_speed:=0.8']
+    start_ros(['--ros-args', *(part for each in given for part in ('-p', each))], domain_id=domain)
+    node = HerdingNode('sim')
+    try:
+        crowd = Crowd().rescaled(16.0, 1.0)
+        motion = declare_scaled(node, World(), crowd).motion
+        assert motion == Unicycle(turn_rate=0.7, ahead=1.6)
+        assert not node.has_parameter('motion.acceleration')
     finally:
         node.destroy_node()
         rclpy.shutdown()

@@ -12,6 +12,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.motion import Unicycle
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import messages
 from herding_ros.nodes.pacing import CATCH_UP
@@ -109,6 +110,29 @@ def test_lockstep_is_the_simulation_of_the_core(start: Callable[..., Any], peer:
         assert messages.nanoseconds(shepherd.sheep[k].header.stamp) == k * 100_000_000
         shepherd.answer(u)
         expected.advance(np.array([u, u]))
+
+
+def test_a_dog_that_has_to_turn_is_driven_by_speed_and_turn_rate(
+    start: Callable[..., Any], peer: Any
+) -> None:
+    """A command to go aside turns it, as in the simulation of the core."""
+    start('sim', lockstep=True, **SMALL, **{'motion.kind': 'unicycle'})
+    shepherd, motion = Shepherd(peer), Unicycle()
+    expected = Simulation(Crowd(), World(sheep=3, dogs=1, seed=5, motion=motion), np.ones(2) / 2)
+    aside, u = expected.state.d[0, 2] + 1.5, np.zeros(2)
+    for _ in range(5):
+        u = 0.05 * np.array([np.cos(aside), np.sin(aside)])
+        told = messages.twist(u, expected.state.d[0, 2], motion.ahead)
+        ns, seen = shepherd.newest(), len(shepherd.truth)
+        header = Header(stamp=messages.stamp_of(ns), frame_id='dog_1/base_link')
+        shepherd.publishers[0].publish(TwistStamped(header=header, twist=told))
+        peer.spin_until(lambda seen=seen: len(shepherd.truth) > seen)
+        expected.advance(u[None])
+        np.testing.assert_allclose(shepherd.true_dog(), expected.state.d[0, :2], atol=1e-12)
+        pose = shepherd.true_odometry[0][-1].pose.pose.orientation
+        heading = 2.0 * np.arctan2(pose.z, pose.w)
+        assert np.cos(heading - expected.state.d[0, 2]) == pytest.approx(1.0, abs=1e-12)
+    assert expected.state.d[0, 2] > aside - 1.4
 
 
 def test_subscriber_that_asks_too_much_holds_up_nobody(

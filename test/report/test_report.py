@@ -211,7 +211,7 @@ def test_picture_shows_sheep_dogs_and_goal(run: RecordedRun, tmp_path: Path) -> 
         {'goal': None},
         {'d': np.full((5, 2, 2), NAN)},
         {'d': np.empty((5, 0, 2)), 'dogs': ()},
-        {'x': np.where(np.arange(4)[:, None] < [[[1]]] * 5, 1.0, NAN)},
+        {'x': np.where(np.arange(4)[:, None] < [[[1, 1]]] * 5, 1.0, NAN)},
     ],
 )
 @pytest.mark.filterwarnings('error')
@@ -220,8 +220,27 @@ def test_picture_of_a_poor_run(run: RecordedRun, tmp_path: Path, change: dict[st
     assert (tmp_path / 'trajectories.png').stat().st_size > 10_000
 
 
+def test_every_axis_of_the_picture_is_labelled_and_every_dog_has_its_number(
+    run: RecordedRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(figures, 'save', lambda figure, *_, **__: drawn.append(figure))
+    replans = (*run.replans, replan(3, 1.0, 'feedback'))
+    save_trajectories(replace(run, replans=replans), tmp_path / 'trajectories.png')
+    (figure,) = drawn
+    for axes in figure.axes:
+        assert axes.get_ylabel()
+        assert axes.get_xlabel() or axes.get_shared_x_axes().joined(axes, figure.axes[1])
+    numbers = [text.get_text() for text in figure.axes[0].texts]
+    assert numbers == ['1', '2']
+    kinds = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+    assert kinds == ['windows', 'feedbacks']
+
+
 def test_picture_of_a_single_state(run: RecordedRun, tmp_path: Path) -> None:
-    one = replace(run, times=run.times[:1], x=run.x[:1, :1], v=run.v[:1, :1], d=run.d[:1, :1])
+    one = replace(
+        run, times=run.times[:1], x=run.x[:1, :1], v=run.v[:1, :1], d=run.d[:1, :1], dogs=(1,)
+    )
     save_trajectories(one, tmp_path / 'trajectories.png')
     summarise(one)
 
@@ -302,13 +321,25 @@ def test_report_says_how_many_messages_were_lost(
     assert ('lost' in text) == bool(lost)
 
 
+@pytest.mark.parametrize('width', [40, 80])
+def test_topics_are_whole_on_any_terminal(
+    width: int, run: RecordedRun, tmp_path: Path, run_recorder: Any
+) -> None:
+    out = StringIO()
+    bag = bag_of(run, tmp_path / 'bag', run_recorder)
+    write_report(bag, tmp_path, Console(file=out, width=width))
+    shown = out.getvalue().split()
+    assert {'/truth/sheep', '/truth/dog_1/odom', '/truth/dog_2/odom', '/diagnostics'} < set(shown)
+    assert ('sensor_msgs/msg/PointCloud2' in shown) == (width == 80)
+
+
 def test_program_writes_beside_the_bag(
     run: RecordedRun, tmp_path: Path, run_recorder: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = bag_of(run, tmp_path / 'bag', run_recorder)
     assert main([str(bag)]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        'bag', 'summary.json', 'trajectories.png'
+        'bag', 'replay.html', 'summary.json', 'trajectories.png'
     ]  # fmt: skip
     assert 'summary.json' in capsys.readouterr().out
 
@@ -355,3 +386,32 @@ def test_program_says_where_it_cannot_write(
     (tmp_path / 'file').write_text('')
     assert main([str(bag), '--out', str(tmp_path / 'file')]) == 2
     assert 'file' in capsys.readouterr().err
+
+
+def test_a_field_is_drawn_and_its_region_judges(run: RecordedRun, tmp_path: Path) -> None:
+    """The region holds all sheep from 1 s on, so for half a second at the end."""
+    file = tmp_path / 'field.yaml'
+    file.write_text(
+        'fences: [[[-3, -3], [3, -3]]]\ndiscs: [[2, 2, 0.5]]\n'
+        'goal: [[0.3, -0.9], [1.7, -0.9], [1.7, 0.9], [0.3, 0.9]]\nhold: 0.5\n'
+    )
+    inside = replace(run, parameters={'/sim': {'field': str(file)}})
+    summary = summarise(inside)
+    assert (summary['arrived'], summary['time_s'], summary['notes']) == (True, 1.5, [])
+    axes = Figure().add_subplot()
+    figures._draw_map(axes, inside)
+    assert [
+        list(line.get_xdata())
+        for line in axes.lines
+        if line.get_linewidth() == 1.5
+        and line.get_color() == 'black'
+        and len(line.get_xdata()) > 1
+    ] == [[-3.0, 3.0]]
+    assert len(axes.patches) == 2  # the region and the disc
+    elsewhere = summarise(replace(inside, goal=np.array([0.96, 0.0])))
+    assert elsewhere['time_s'] == 1.5  # the state that is home without a field
+    file.write_text(file.read_text().replace('0.5\n', '1.5\n'))
+    assert summarise(inside)['arrived'] is False
+    file.unlink()
+    (note,) = summarise(inside)['notes']
+    assert 'the field is not drawn, and does not count' in note

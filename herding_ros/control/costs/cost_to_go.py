@@ -27,6 +27,8 @@ class CostToGo:
     dog's way round the flock (`detour`), and b = spread_weight. L / u_max is the time that the
     dog needs, and the factor before it what the stray adds to the tracking cost meanwhile. A dog
     that is behind its stray has nothing to go: from there on the window sees what it can do.
+    A stray with a wall before it is brought to where its way turns first, and r_i is the length of
+    all its way.
 
     A dog without an errand that is not felt by the flock costs the same, with all sheep at
     a distance of reach, until it is within reach.
@@ -44,25 +46,31 @@ class CostToGo:
         place = errands.place(x)
         value = 0.0
         if len(errands.dogs):
-            off = x[errands.sheep] - place
+            straight = np.isnan(errands.via[:, 0])
+            places, rest = errands.places(x), errands.rest[:, None]
+            off = x[errands.sheep] - places
             r = np.linalg.norm(off, axis=1, keepdims=True)
             unit = off / np.maximum(r, 1e-12)
-            dogs = d[errands.dogs] - place
-            way, by_dog, by_post = detour(dogs, off + errands.standoff * unit, errands.around)
+            ends = d[errands.dogs] - places, off + errands.standoff * unit
+            way, by_dog, by_post = detour(*ends, errands.around)
+            if not straight.all():
+                for round_, direct in zip((way, by_dog, by_post), detour(*ends, 0.0), strict=True):
+                    round_[~straight] = direct[~straight]
             width = _SMOOTHING * errands.standoff
             time = (np.sqrt(way**2 + width**2) - width)[:, None] / self.max_speed
             by_way = (way / np.sqrt(way**2 + width**2))[:, None] / self.max_speed
             scale = self.spread_weight / (2.0 * n)
-            rate = scale * np.maximum(r**2 - errands.inner**2, 0.0)
+            rate = scale * np.maximum((r + rest) ** 2 - errands.inner**2, 0.0)
             value += float((rate * time).sum())
             by_d[errands.dogs] += rate * by_way * by_dog
             # The post moves with its sheep, and turns round it with the direction to the place.
             across = errands.standoff / np.maximum(r, 1e-12)
             turned = across * (by_post - unit * (unit * by_post).sum(axis=1, keepdims=True))
             by_off = 2.0 * scale * off * (rate > 0.0) * time
+            by_off *= 1.0 + rest / np.maximum(r, 1e-12)
             by_off += rate * by_way * (by_post + turned)
             by_x[errands.sheep] += by_off
-            by_place -= (by_off + rate * by_way * by_dog).sum(axis=0)
+            by_place -= (by_off + rate * by_way * by_dog)[straight].sum(axis=0)
         idle = np.setdiff1d(np.arange(len(d)), errands.dogs)
         off = d[idle] - place
         r = np.linalg.norm(off, axis=1, keepdims=True)

@@ -17,8 +17,8 @@ class CollectAndDrive:
     def posts(self, state: HerdState, errands: Errands, goal: Array) -> Array:
         """Return the posts (M, 2) [m]."""
         posts = np.array(state.dogs)
-        place = errands.place(state.x)
-        posts[errands.dogs] = behind_each(state.x[errands.sheep], place, errands.standoff)
+        places = errands.places(state.x)
+        posts[errands.dogs] = behind_each(state.x[errands.sheep], places, errands.standoff)
         idle = np.setdiff1d(np.arange(len(posts)), errands.dogs)
         if len(idle):
             driving = drivers(state.x[errands.together], goal, len(idle), errands.standoff)

@@ -10,6 +10,7 @@ from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.detour import detour
 from herding_ros.control.errands import Errands
 from herding_ros.control.reach import Reach
+from herding_ros.control.ways import Ways
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -29,20 +30,30 @@ class Rule(Protocol):
 
 
 def rule_plan(
-    rule: Rule, model: CoarseModel, reach: Reach, goal: Array, max_speed: float, intervals: int
+    rule: Rule,
+    model: CoarseModel,
+    reach: Reach,
+    goal: Array,
+    max_speed: float,
+    intervals: int,
+    ways: Ways | None = None,
 ) -> Array:
     """Return the control (intervals, M, 2) [m/s] that a rule leads to on the coarse model.
 
     Ten times in a window it says where the dogs should be. They go there at max_speed round
-    the flock, and no farther.
+    the flock, and no farther. Among walls they drive it along its route, from posts on its side
+    of them.
     """
     state, chunks = model.state, []
     held = -(-intervals // _DECISIONS)
     for first in range(0, intervals, held):
         count = min(held, intervals - first)
-        errands = Errands.of(reach, state, goal)
+        aim = goal if ways is None else ways.aim(state.x)
+        errands = Errands.of(reach, state, aim, ways)
         place = errands.place(state.x)
-        posts = rule.posts(state, errands, goal)
+        posts = rule.posts(state, errands, aim)
+        if ways is not None:
+            posts = ways.steps(state.dogs, ways.in_front(state.x, posts))
         way, by_dog, _ = detour(state.dogs - place, posts - place, errands.around)
         speed = np.minimum(max_speed, way / (count * model.interval))
         u = np.broadcast_to(-speed[:, None] * by_dog, (count, *posts.shape))

@@ -1,7 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """How dogs move under their commands: one file for each motion model."""
 
+from .accelerating import Accelerating
 from .holonomic import Holonomic
-from .motion_model import MotionModel
+from .motion_model import MotionModel, Obedient
+from .unicycle import steered_ahead, Unicycle
 
-__all__ = ['Holonomic', 'MotionModel']
+MOTIONS: dict[str, Obedient] = {
+    'holonomic': Holonomic(),
+    'accelerating': Accelerating(),
+    'unicycle': Unicycle(),
+}
+"""Motions by the name that the parameter `motion.kind` takes."""
+
+__all__ = [
+    'MOTIONS',
+    'Accelerating',
+    'Holonomic',
+    'MotionModel',
+    'Obedient',
+    'Unicycle',
+    'steered_ahead',
+]

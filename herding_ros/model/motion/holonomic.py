@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.state import Array
@@ -51,3 +52,15 @@ class Holonomic(Parameters):
     def odometry(self, d: Array, u: Array) -> tuple[Array, Array, Array]:
         """Return position d, heading 0 (a holonomic dog need not turn), and velocity u."""
         return d, np.zeros(len(d)), u
+
+    def largest_change(self, seconds: float) -> float:
+        """Return infinity: a dog follows any change at once."""
+        return math.inf
+
+    def directions(self, d: Array) -> Array | None:
+        """Return None: a dog moves with the velocity that is its command."""
+        return None
+
+    def bend(self, max_speed: float, seconds: float, distance: float) -> float:
+        """Return 0: ways are straight."""
+        return 0.0

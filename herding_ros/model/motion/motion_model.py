@@ -43,3 +43,28 @@ class MotionModel(Protocol):
 
         u (M, 2) are the commands that have led there.
         """
+
+
+@runtime_checkable
+class Obedient(MotionModel, Protocol):
+    """A motion of which is known how fast a dog does what a command asks for.
+
+    The filter between plan and dogs needs that to keep them apart, see `control/separation.py`.
+    The command is a velocity, at best that of the dog.
+    """
+
+    def largest_change(self, seconds: float) -> float:
+        """Return by how much a command may change in a time [s] so that a dog follows [m/s]."""
+
+    def directions(self, d: Array) -> Array | None:
+        """Return matrices (M, 2, 2) that make velocities of commands, for dogs in states d (M, S).
+
+        None: commands are the velocities.
+        """
+
+    def bend(self, max_speed: float, seconds: float, distance: float) -> float:
+        """Return how far two dogs may get off straight ways while a command holds [m].
+
+        They are so far apart [m] or farther; a command of at most max_speed [m/s] holds for
+        `seconds`. Of what both get nearer to each other by that it is a bound.
+        """

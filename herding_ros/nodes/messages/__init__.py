@@ -6,7 +6,7 @@ from herding_ros.checks import check_frame, check_stamp
 from .diagnostics import diagnostics
 from .received import command_in, dog_in, goal_in, Sheep, sheep_in, twist_in
 from .sent import cloud, command, odometry, trajectory, twist
-from .stamps import dog_frame, nanoseconds, stamp_of
+from .stamps import dog_frame, nanoseconds, stamp_of, turned
 from .visualisation import marker_array, path, pose
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     'sheep_in',
     'stamp_of',
     'trajectory',
+    'turned',
     'twist',
     'twist_in',
 ]

@@ -192,30 +192,39 @@ def dog_in(data: bytes, frame: str) -> tuple[int, Array, float, Array]:
     return ns, np.array([d_x, d_y]), heading, np.array(velocity)
 
 
-def command_in(data: bytes, m: int, frame: str, max_speed: float) -> tuple[int, Array]:
-    """Time [ns] and velocity (2,) [m/s], of at most max_speed, of a TwistStamped for dog m."""
+def command_in(
+    data: bytes, m: int, frame: str, max_speed: float, ahead: float | None = None
+) -> tuple[int, Array]:
+    """Time [ns] and velocity (2,) [m/s], of at most max_speed, of a TwistStamped for dog m.
+
+    It is in the body frame, and so far ahead [m] of a dog that has to turn; None: it need not.
+    """
     reader = Reader(data)
     ns, given = reader.header()
     check_frame('command', given, dog_frame(m), frame)
-    return ns, _velocity_in(reader, max_speed)
+    return ns, _velocity_in(reader, max_speed, ahead)
 
 
-def twist_in(data: bytes, max_speed: float) -> Array:
-    """Velocity (2,) [m/s], of at most max_speed [m/s], of a Twist."""
-    return _velocity_in(Reader(data), max_speed)
+def twist_in(data: bytes, max_speed: float, ahead: float | None = None) -> Array:
+    """Velocity (2,) [m/s], of at most max_speed [m/s], of a Twist; see `command_in`."""
+    return _velocity_in(Reader(data), max_speed, ahead)
 
 
-def _velocity_in(reader: Reader, max_speed: float) -> Array:
-    """Read the linear and angular velocity at the end of a message; x and y count.
+def _velocity_in(reader: Reader, max_speed: float, ahead: float | None) -> Array:
+    """Read the linear and angular velocity at the end of a message.
 
+    Of a dog that has to turn the linear x and the angular z count, of others the linear x and y.
     NaN in any of them refuses all: whatever sent it is out of order.
     """
     values = reader.doubles(6, 6)
     check_finite('command', *values)
-    x, y = values[:2]
+    x, y = values[0], values[1] if ahead is None else ahead * values[5]
     if math.hypot(x, y) > max_speed * (1 + 1e-6):  # rounded, and turned into the dog's frame
         raise Refused(
-            'too fast', f'it must be at most {max_speed:g} m/s, got {math.hypot(x, y):g} m/s'
+            'too fast',
+            f'it must be at most {max_speed:g} m/s'
+            + (' at the point that is steered' if ahead is not None else '')
+            + f', got {math.hypot(x, y):g} m/s',
         )
     return np.array([x, y])
 

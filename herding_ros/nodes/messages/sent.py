@@ -36,19 +36,22 @@ _ODOMETRY = np.dtype(
 _COMMAND = np.dtype(_TWIST)
 
 
-def cloud(x: Array, v: Array, ns: int, frame: str) -> bytes:
-    """Sheep at x (N, 2) [m] with velocities v (N, 2) [m/s] as a PointCloud2."""
-    template = _cloud(len(x), frame)
-    sheep = template.numbers['sheep']
-    sheep['x'], sheep['y'] = x.T
-    sheep['vx'], sheep['vy'] = v.T
+def cloud(x: Array, v: Array, ns: int, frame: str, first: int = 0) -> bytes:
+    """Sheep or dogs at x (N, 2) [m] with velocities v (N, 2) [m/s] as a PointCloud2.
+
+    Their ids count from `first`, for dogs from 1.
+    """
+    template = _cloud(len(x), frame, first)
+    points = template.numbers['points']
+    points['x'], points['y'] = x.T
+    points['vx'], points['vy'] = v.T
     return template.stamped(ns)
 
 
 @lru_cache(maxsize=16)
-def _cloud(count: int, frame: str) -> Template:
-    sheep = np.zeros(count, _CLOUD)
-    sheep['id'] = np.arange(count)
+def _cloud(count: int, frame: str, first: int) -> Template:
+    points = np.zeros(count, _CLOUD)
+    points['id'] = first + np.arange(count)
     message = PointCloud2(
         header=Header(frame_id=frame),
         height=1,
@@ -57,10 +60,10 @@ def _cloud(count: int, frame: str) -> Template:
         is_bigendian=False,
         point_step=_CLOUD.itemsize,
         row_step=_CLOUD.itemsize * count,
-        data=array.array('B', sheep.tobytes()),
+        data=array.array('B', points.tobytes()),
         is_dense=True,
     )
-    return Template(message, [('sheep', _CLOUD, count), ('is_dense', '?')])
+    return Template(message, [('points', _CLOUD, count), ('is_dense', '?')])
 
 
 def odometry(d: Array, u: Array, m: int, ns: int, frame: str, heading: float = 0.0) -> bytes:
@@ -78,10 +81,13 @@ def _odometry(m: int, frame: str) -> Template:
     return Template(message, _ODOMETRY)
 
 
-def command(u: Array, heading: float, m: int, ns: int) -> bytes:
-    """Velocity u (2,) [m/s] in the map as a TwistStamped in the body frame of dog m."""
+def command(u: Array, heading: float, m: int, ns: int, ahead: float | None = None) -> bytes:
+    """Velocity u (2,) [m/s] in the map as a TwistStamped in the body frame of dog m.
+
+    ahead: of a dog that has to turn, how far ahead of it [m] the velocity is; None: it need not.
+    """
     template = _command(m)
-    template.numbers['linear'][:2] = turned(u, heading)
+    template.numbers['linear'][:2], template.numbers['angular'][2] = _body(u, heading, ahead)
     return template.stamped(ns)
 
 
@@ -90,10 +96,16 @@ def _command(m: int) -> Template:
     return Template(TwistStamped(header=Header(frame_id=dog_frame(m))), _COMMAND)
 
 
-def twist(u: Array, heading: float) -> Twist:
-    """Velocity u (2,) [m/s] in the map as a command in the body frame of a dog."""
+def twist(u: Array, heading: float, ahead: float | None = None) -> Twist:
+    """Velocity u (2,) [m/s] in the map as a command in the body frame of a dog; see `command`."""
+    (x, y), turn = _body(u, heading, ahead)
+    return Twist(linear=Vector3(x=x, y=y), angular=Vector3(z=turn))
+
+
+def _body(u: Array, heading: float, ahead: float | None) -> tuple[tuple[float, float], float]:
+    """Return the linear velocity (x, y) [m/s] and the turn rate [rad/s] that a dog is told."""
     x, y = turned(u, heading)
-    return Twist(linear=Vector3(x=x, y=y))
+    return ((x, y), 0.0) if ahead is None else ((x, 0.0), y / ahead)
 
 
 def trajectory(plan: Plan, dogs: Array, names: tuple[str, ...], ns: int, frame: str) -> bytes:

@@ -30,17 +30,24 @@ def pose(position: Array, ns: int, frame: str) -> PoseStamped:
     )
 
 
-def marker_array(x: Array, d: Array, goal: Array, size: float, ns: int, frame: str) -> MarkerArray:
-    """Sheep as blue dots, dogs as red triangles, a cross of this size [m] at the destination."""
+def marker_array(
+    x: Array, d: Array, goal: Array, size: float, ns: int, frame: str, walls: Array | None = None
+) -> MarkerArray:
+    """Sheep as blue dots, dogs as red triangles, a cross of this size [m] at the destination.
+
+    walls: straight pieces (n, 2, 2) [m] by their ends, drawn if there are any.
+    """
     blue, red = ColorRGBA(r=0.1, g=0.3, b=0.9, a=1.0), ColorRGBA(r=0.9, g=0.1, b=0.1, a=1.0)
     black = ColorRGBA(a=1.0)
     corners = 0.8 * size * np.array([[0.0, 1.0], [-0.87, -0.5], [0.87, -0.5]])
     cross = size * np.array([[-1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [1.0, -1.0]])
-    shapes = (
+    shapes: tuple[tuple[str, int, ColorRGBA, float, Array], ...] = (
         ('sheep', Marker.SPHERE_LIST, blue, 0.6 * size, x),
         ('dogs', Marker.TRIANGLE_LIST, red, 1.0, (d[:, None] + corners).reshape(-1, 2)),
         ('goal', Marker.LINE_LIST, black, 0.2 * size, goal + cross),
     )
+    if walls is not None and len(walls):
+        shapes += (('walls', Marker.LINE_LIST, black, 0.4 * size, walls.reshape(-1, 2)),)
     return MarkerArray(
         markers=[
             Marker(

@@ -9,6 +9,7 @@ from typing import Any
 from . import (
     decisions,
     direct,
+    fields,
     herding,
     mean_field,
     real,
@@ -24,6 +25,7 @@ EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
     'candidates': decisions.candidates,
     'common_noise': Case.experiment(window.common_noise),
     'direct': Case.experiment(direct.run),
+    'fields': fields.run,
     'herding': herding.run,
     'looks': decisions.looks,
     'mean_field_convergence': mean_field.convergence,

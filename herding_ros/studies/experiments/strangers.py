@@ -111,11 +111,15 @@ def flock(seed: int) -> Stranger:
 
 
 def another_truth(seed: int, sheep: int, dogs: int, goal: list[float], **truth: Any) -> Stranger:
-    """Return our own plant with another `Truth` than the one that the controller is told."""
+    """Return our own plant with another `Truth` than the one that the controller is told.
+
+    It is told how many sheep may be left behind: those that ignore dogs.
+    """
     world, crowd = World(sheep=sheep, dogs=dogs, seed=seed), Crowd()
     plant = OtherWorld(crowd, world, np.array(goal), Truth(**truth))
     rule = Strombom(plant.goal, np.random.default_rng([seed, 30_000]))
-    return Stranger(plant, rule, crowd, {})
+    allowed = {'arrival.strays': int((plant.response == 0.0).sum())}
+    return Stranger(plant, rule, crowd, allowed)
 
 
 _STRANGERS: dict[str, Callable[..., Stranger]] = {

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 from herding_ros.control.errands import behind_each
 from herding_ros.control.rules.rule import behind, nearest_posts, SIDE_BY_SIDE
+from herding_ros.control.ways import Ways
 from herding_ros.model.flock import centre
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -35,7 +36,8 @@ class Strombom:
     """The heuristic as a policy.
 
     goal: (2,) [m]; max_speed [m/s]; sheep_distance: r_a [m]; slow: fraction of max_speed near
-    sheep; noise: e; arc: angle between neighbouring drivers, seen from the flock's centre [rad].
+    sheep; noise: e; arc: angle between neighbouring drivers, seen from the flock's centre [rad];
+    ways: that dogs take among walls.
     """
 
     goal: Array
@@ -45,11 +47,14 @@ class Strombom:
     slow: float = 0.4
     noise: float = 0.3
     arc: float = SIDE_BY_SIDE
+    ways: Ways | None = None
 
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the dogs' velocities (M, 2) [m/s]."""
-        posts = self.posts(observed.x, len(observed.d))
-        offset = nearest_posts(observed.d, posts) - observed.d
+        posts = nearest_posts(observed.d, self.posts(observed.x, len(observed.d)))
+        if self.ways is not None:
+            posts = self.ways.steps(observed.d, self.ways.in_front(observed.x, posts))
+        offset = posts - observed.d
         left = np.linalg.norm(offset, axis=1, keepdims=True)
         angle = self.rng.uniform(0.0, 2.0 * np.pi, len(offset))
         heading = unit(offset) + self.noise * np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -15,6 +15,7 @@ from herding_ros.control.costs.leash import Leash
 from herding_ros.control.costs.spacing import Spacing
 from herding_ros.control.costs.terminal import Terminal
 from herding_ros.control.costs.tracking import Tracking
+from herding_ros.control.costs.walls import Walls
 from herding_ros.control.objective import Objective, weighted_costs
 from herding_ros.control.parameters import Weights
 from herding_ros.model.crowd import Crowd
@@ -39,6 +40,7 @@ COSTS: dict[str, Cost] = {
     'point': Containment(2.0, 0.0, ROUTE),
     'leash': Leash(0.7, ROUTE),
     'spacing': Spacing(0.7, 1.5),
+    'walls': Walls(0.7, 1.5, np.array([[-1.0, 0.3, 1.0, 0.4, 0.0], [0.1, 0.8, 0.1, 0.8, 0.2]])),
     'control effort': ControlEffort(0.3, CONTROL),
 }
 COSTS['all'] = Objective(list(COSTS.values()))

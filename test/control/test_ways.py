@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+import re
+
+from herding_ros.control.parameters import Bodies
+from herding_ros.control.reference import reference
+from herding_ros.control.ways import Corners, route, Ways
+from herding_ros.model.field import Field
+from herding_ros.model.state import Array
+import numpy as np
+import pytest
+import shapely
+
+WALL = Field(fences=(((1.0, -0.5), (1.0, 0.7)),))
+START, GOAL = np.zeros(2), np.array([2.0, 0.0])
+
+
+def length(way: Array) -> float:
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+
+def test_a_route_is_straight_where_nothing_is_in_the_way() -> None:
+    np.testing.assert_array_equal(route(WALL, START, np.full(2, 2.0), 0.1, 0.05), [START, [2, 2]])
+
+
+def test_a_route_leads_round_a_wall_at_the_clearance() -> None:
+    """The exact length: a tangent, an arc round the nearer end, a tangent."""
+    radius, away = 0.25, math.hypot(1.0, 0.5)
+    angle = 2.0 * (math.pi - math.atan2(1.0, 0.5) - math.acos(radius / away))
+    exact = 2.0 * math.sqrt(away**2 - radius**2) + radius * angle
+    found = Corners(WALL, radius).way(START, GOAL)
+    assert found is not None
+    assert found[1:-1, 1].max() < -0.5  # round the nearer end
+    gap = shapely.LineString(found).distance(WALL.walls)
+    assert 0.9 * radius <= gap <= radius
+    assert 0.98 * exact < length(found) < 1.02 * exact
+
+
+@pytest.mark.parametrize('width', [0.05, 0.3, 0.9])
+def test_a_route_narrows_before_a_gate(width: float) -> None:
+    field = Field(fences=(((1.0, 0.3), (1.0, 3.0)), ((1.0, -0.3), (1.0, -3.0))))
+    found = route(field, np.array([0.0, 1.0]), np.array([2.0, 1.0]), width, 0.05)
+    gap = shapely.LineString(found).distance(field.walls)
+    # As far as it may: half the gate, less what clearances are rounded by.
+    expected = min(width, 0.3)
+    assert 0.9 * 2.0**-0.25 * expected - 1e-9 <= gap <= expected
+
+
+def test_walls_without_a_gap_are_refused() -> None:
+    ring = ((1.0, -1.0), (3.0, -1.0), (3.0, 1.0), (1.0, 1.0), (1.0, 0.1), (1.0, 0.0), (1.0, -1.0))
+    with pytest.raises(ValueError, match=re.escape('walls with no gap of 0.2 m; open a gate')):
+        route(Field(fences=(ring,)), START, GOAL, 0.5, 0.1)
+
+
+def test_a_start_beside_a_wall_first_leaves_it() -> None:
+    found = Corners(WALL, 0.3).way(np.array([0.9, 0.1]), GOAL)
+    assert found is not None
+    np.testing.assert_allclose(found[1], [0.7, 0.1], atol=0.03)
+    assert not shapely.LineString(found).intersects(WALL.walls)
+
+
+def test_the_reference_goes_along_the_route_at_its_speed() -> None:
+    legs = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+    times = np.linspace(0.0, 8.0, 81)
+    path = reference('attainable', 0.5, legs, times)
+    np.testing.assert_allclose(path[[10, 20, 40, 60, 80]], [
+        [0.5, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 2.0], [1.0, 2.0],
+    ], atol=1e-12)  # fmt: skip
+    speeds = np.linalg.norm(np.diff(path[:60], axis=0), axis=1) / 0.1
+    np.testing.assert_allclose(speeds, 0.5, rtol=1e-9)
+    within = reference('interpolated', 0.0, legs, times)
+    np.testing.assert_allclose(within[[0, 40, 80]], [[0.0, 0.0], [1.0, 0.5], [1.0, 2.0]])
+
+
+def test_dogs_aim_ahead_on_the_route() -> None:
+    legs = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+    ways = Ways(WALL, legs, 0.3, 0.1)
+
+    def aim(*place: float) -> Array:
+        return ways.aim(np.array([place]))
+
+    np.testing.assert_allclose(aim(0.2, 0.1), [1.0, 0.0])  # the end of the leg
+    np.testing.assert_allclose(aim(0.9, 0.0), [1.0, 0.2])  # round its corner
+    np.testing.assert_allclose(aim(1.1, 1.9), [1.0, 2.0])  # the goal
+
+
+def test_posts_are_on_the_side_of_their_sheep() -> None:
+    bodies = Bodies()
+    ways = Ways.of(WALL, bodies, np.array([[0.9, 0.0], [0.5, 0.3]]), np.array([-1.0, 0.0]))
+    assert ways is not None
+    posts = ways.in_front(
+        np.array([[0.8, 0.0], [0.5, 0.3]]), np.array([[1.2, 0.0], [0.4, 0.4], [0.97, 0.1]])
+    )
+    np.testing.assert_allclose(posts[1], [0.4, 0.4])
+    np.testing.assert_allclose(posts[[0, 2], 0], 1.0 - ways.clearance)
+
+
+def test_dogs_go_round_walls_to_their_posts() -> None:
+    ways = Ways.of(WALL, Bodies(), np.zeros((2, 2)), GOAL)
+    assert ways is not None
+    d, posts = np.array([[0.5, 0.0], [0.5, 0.0]]), np.array([[0.6, 0.5], [1.5, 0.0]])
+    first = ways.steps(d, posts)
+    np.testing.assert_array_equal(first[0], posts[0])
+    assert first[1, 1] < -0.5
+    assert not shapely.LineString([d[1], first[1]]).intersects(WALL.walls)
+
+
+def test_without_walls_there_are_no_ways() -> None:
+    assert Ways.of(Field(goal=((1.0, 1.0),)), Bodies(), np.zeros((2, 2)), GOAL) is None
