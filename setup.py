@@ -10,6 +10,8 @@ manifest = ElementTree.parse(Path(__file__).resolve().with_name('package.xml'))
 about = {each.tag: each for each in manifest.getroot()}
 name = about['name'].text
 
+LAYOUTS = ['config/foxglove.json', 'config/plotjuggler.xml']
+
 setup(
     name=name,
     version=about['version'].text,
@@ -19,12 +21,18 @@ setup(
     maintainer_email=about['maintainer'].get('email'),
     packages=find_packages(include=[name, name + '.*']),
     package_data={
-        name: ['py.typed', 'model/fields/*.yaml', 'nodes/fastdds*.xml', 'studies/pages/*.md']
+        name: [
+            'py.typed',
+            'model/fields/*.yaml',
+            'nodes/fastdds*.xml',
+            'report/replay.html',
+            'studies/pages/*.md',
+        ]
     },
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + name]),
         ('share/' + name, ['package.xml']),
-        ('share/' + name + '/config', glob('config/*.yaml')),
+        ('share/' + name + '/config', [*glob('config/*.yaml'), *LAYOUTS]),
         ('share/' + name + '/launch', glob('launch/*.launch.py')),
         ('share/' + name + '/rviz', glob('rviz/*.rviz')),
     ],
@@ -32,7 +40,8 @@ setup(
     # The oldest that serve: those of Ubuntu 24.04. requirements.txt pins what is tested.
     install_requires=['numpy>=1.26', 'scipy>=1.11', 'numba>=0.57', 'shapely>=2.0', 'pyyaml'],
     extras_require={
-        'report': ['matplotlib', 'mcap>=1.2', 'pyyaml', 'rich', 'rosbags>=0.10'],
+        'report': ['matplotlib', 'mcap>=1.2', 'pillow', 'pyyaml', 'rich', 'rosbags>=0.10'],
+        'view': ['viser>=1.1'],
         'study': ['matplotlib', 'rich', 'distributed'],
         'test': ['pytest'],
     },
@@ -47,6 +56,7 @@ setup(
             'report = herding_ros.programs:report',
             'sim = herding_ros.programs:sim',
             'study = herding_ros.programs:study',
+            'view = herding_ros.programs:view',
         ],
     },
 )

@@ -108,6 +108,7 @@ class _Unbreakable(io.FileIO):
 sim = partial(_run, 'sim', 'nodes.sim', 0, 'nodes.command_line')
 controller = partial(_run, 'controller', 'nodes.controller', 0, 'nodes.command_line')
 recorder = partial(_run, 'recorder', 'nodes.recorder', 0, 'nodes.command_line')
+view = partial(_run, 'view', 'nodes.view', 0, 'nodes.command_line')
 herd = partial(_run, 'herd', 'nodes.herd')
 recover = partial(_run, 'recover', 'bag.cli')
 fit = partial(_run, 'fit', 'fit.cli')

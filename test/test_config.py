@@ -4,15 +4,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from fnmatch import fnmatch
+import json
 from pathlib import Path
 import re
 from typing import Any
+from xml.etree import ElementTree
 
 from herding_ros.control.parameters import Control, CONTROLS, PAPER
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
-from herding_ros.nodes.settings import ControllerSettings, ControlPreset, CrowdPreset, SimSettings
+from herding_ros.nodes.settings import (
+    ControllerSettings,
+    ControlPreset,
+    CrowdPreset,
+    MotionKind,
+    SimSettings,
+)
 import pytest
 import yaml
 
@@ -39,7 +48,11 @@ def with_values(parameters: Parameters, values: dict[str, Any], prefix: str = ''
     return parameters.with_values({k: v for k, v in values.items() if k in own}, prefix)
 
 
-CROWD = {**CrowdPreset().flat('crowd.'), **Crowd().flat('crowd.')}
+CROWD = {
+    **CrowdPreset().flat('crowd.'),
+    **MotionKind().flat('motion.'),
+    **Crowd().flat('crowd.'),
+}
 NODES: dict[str, dict[str, Any]] = {
     'sim': {**CROWD, **World().flat(), **SimSettings().flat()},
     'controller': {
@@ -115,3 +128,38 @@ def test_the_reference_run_is_that_of_the_defaults() -> None:
     assert with_values(Crowd(), values, 'crowd.') == Crowd()
     judged_at = with_values(SimSettings(), values).goal
     assert judged_at == with_values(ControllerSettings(), values).goal == SimSettings().goal
+
+
+def published() -> set[str]:
+    """Return what the nodes may publish, by the policy that a test holds against them."""
+    policy = ElementTree.parse(CONFIG / 'sros2_policy.xml')
+    found = policy.iterfind('.//topics[@publish]/topic')
+    return {f'/{(each.text or "").lstrip("/")}' for each in found}
+
+
+def shown(name: str) -> set[str]:
+    """Return the topics that a layout shows."""
+    text = (CONFIG.parent / name).read_text(encoding='utf-8')
+    if name.endswith('.json'):
+        panels = json.loads(text)['configById']
+        paths = [path['value'].partition('.')[0] for path in panels['Plot!dogs']['paths']]
+        summary = panels['DiagnosticSummary!all']['topicToRender']
+        return {*panels['3D!herd']['topics'], *paths, summary}
+    if name.endswith('.xml'):
+        curves = [each.get('name', '') for each in ElementTree.fromstring(text).iter('curve')]
+        statuses = '/diagnostics/(sim: herd|controller: plan)/'
+        return {
+            '/diagnostics' if re.match(statuses, each) else each.partition('/pose')[0]
+            for each in curves
+        }
+    return set(re.findall(r'Value: (/\S+)', text)) - {'/goal_pose'}
+
+
+@pytest.mark.parametrize(
+    ('name', 'least'),
+    [('config/foxglove.json', 10), ('config/plotjuggler.xml', 6), ('rviz/herding.rviz', 10)],
+)
+def test_layouts_show_what_the_nodes_publish(name: str, least: int) -> None:
+    assert len(shown(name)) >= least
+    for topic in shown(name):
+        assert any(fnmatch(topic, each) for each in published()), topic

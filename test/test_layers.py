@@ -17,7 +17,8 @@ MAY_IMPORT = {
     'bag': set(),
     'fit': {'model', 'bag', 'report'},
     'report': {'bag', 'model'},
-    'nodes': {'model', 'control', 'bag', 'report'},
+    'view': {'model', 'bag', 'report'},
+    'nodes': {'model', 'control', 'bag', 'report', 'view'},
 }
 ROS_ONLY_IN_NODES = {'rclpy', 'launch', 'launch_ros', 'builtin_interfaces', 'std_srvs', 'rpyutils'}
 

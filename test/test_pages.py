@@ -12,18 +12,21 @@ import importlib
 from pathlib import Path
 import re
 from typing import Any
+from xml.etree import ElementTree
 
 from herding_ros.control.parameters import Control, CONTROLS
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.motion import MOTIONS
 from herding_ros.model.parameters import describe_limits, Parameters
 from herding_ros.model.simulation import World
+from herding_ros.nodes.herd import _parser
 from herding_ros.nodes.settings import (
     ControllerSettings,
     ControlPreset,
     MotionKind,
     RecorderSettings,
     SimSettings,
+    ViewSettings,
 )
 import pytest
 
@@ -110,6 +113,7 @@ def section() -> str:
         table('controller: the node', rows(ControllerSettings())),
         table('controller: the method', control_rows()),
         table('recorder', rows(RecorderSettings())),
+        table('view', rows(ViewSettings())),
     ]
     return '\n' + '\n'.join(tables) + '\n'
 
@@ -130,6 +134,29 @@ def test_the_parameter_tables_are_those_of_the_code() -> None:
         f'run `python test/test_pages.py`, or put this between the comments in {PARAMETERS}:\n'
         + expected
     )
+
+
+def test_each_page_is_in_the_navigation_and_within_two_clicks() -> None:
+    """Of the site, where doc/index.md is its home, and of the README."""
+    index = (ROOT / 'doc' / 'index.md').read_text(encoding='utf-8')
+    found = re.findall(r'```\{toctree\}\n(?::.*\n)*\n([^`]*)```', index)
+    named = {line.rpartition('<')[2].rstrip('>') for tree in found for line in tree.split('\n')}
+    pages = {path.stem for path in (ROOT / 'doc').glob('*.md')}
+    assert named - {''} == pages - {'index'}, 'doc/index.md must name each page once'
+    linked = {README}
+    for _ in range(2):
+        linked |= {
+            (page.parent / file).resolve()
+            for page in linked
+            for file, _ in links(page.read_text(encoding='utf-8'))
+            if file.endswith('.md')
+        }
+    lost = pages - {path.stem for path in linked} - ONLY_ON_THE_SITE
+    assert not lost, f'no page that the README links to links to {lost}'
+
+
+ONLY_ON_THE_SITE = {'index', 'contributing', 'changelog'}
+"""Pages that show what stands elsewhere."""
 
 
 def test_the_readme_is_short() -> None:
@@ -180,6 +207,55 @@ def test_the_files_that_a_page_names_exist(page: Path) -> None:
         assert (PACKAGE / name).exists(), f'{page.name} names {name}'
     for name in re.findall(r'`((?:config|test|scripts|benchmark|launch)/[\w/]*(?:\.\w+)?)`', text):
         assert (ROOT / name).exists(), f'{page.name} names {name}'
+
+
+def test_the_topics_and_services_are_those_of_the_nodes() -> None:
+    """By config/sros2_policy.xml, which another test compares with live nodes."""
+    policy = ElementTree.parse(ROOT / 'config' / 'sros2_policy.xml').iter()
+    there: dict[str, set[str]] = {'topic': set(), 'service': set()}
+    node = ''
+    for each in policy:
+        node = each.get('node', node)
+        if each.tag in there:
+            name = str(each.text).replace('~', node).replace('*', '<i>')
+            there[each.tag].add(name)
+    there['topic'] -= {'<i>', '/parameter_events', '/rosout'}
+    there['service'] = {name for name in there['service'] if 'parameter' not in name}
+    text = (ROOT / 'doc' / 'interface.md').read_text(encoding='utf-8')
+    topics, services = (
+        {
+            name
+            for row in re.findall(r'^\| (`.*?`) \|', part, re.M)
+            for name in row[1:-1].split('`, `')
+        }
+        for part in re.split(r'^## (?:Services|Diagnostics)$', text, flags=re.M)[:2]
+    )
+    assert topics == there['topic']
+    assert services == {name for name in there['service'] if 'description' not in name}
+
+
+NO_ROWS = {'crowd.length', 'crowd.time', 'crowd.png', 'reference.speed'}
+"""What scales a preset, the picture of `fit`, and what studies.md calls gone."""
+
+
+def test_the_parameters_that_pages_name_exist() -> None:
+    table = PARAMETERS.read_text(encoding='utf-8')
+    names = set(re.findall(r'^\| `([\w.]+)` \|', table, re.M))
+    groups = '|'.join({name.split('.')[0] for name in names if '.' in name})
+    for page in PAGES:
+        text = page.read_text(encoding='utf-8')
+        for name in set(re.findall(rf'`((?:{groups})\.[\w.]*\w)(?::=?[^`]*)?`', text)) - NO_ROWS:
+            there = any(f'{each}.'.startswith(f'{name}.') for each in names)
+            assert there or name.endswith(('.py', '.yaml')), f'{page.name} names {name}'
+
+
+def test_every_option_of_herd_is_explained() -> None:
+    text = (ROOT / 'doc' / 'running.md').read_text(encoding='utf-8')
+    table = text.partition('## One command')[2].partition('\n## ')[0]
+    options = {option for action in _parser()._actions for option in action.option_strings}
+    options -= {'-h', '--help', '--parameter'}  # the last is -p
+    missing = {option for option in options if not re.search(rf'`{option}\b', table)}
+    assert not missing, f'doc/running.md lacks {missing}'
 
 
 def test_each_file_is_on_the_map() -> None:

@@ -32,7 +32,7 @@ def python(program: str, stdout: int = subprocess.PIPE, **env: str) -> tuple[int
 
 def test_every_program_has_a_main() -> None:
     assert set(NAMES) == {
-        'sim', 'controller', 'recorder', 'herd', 'recover', 'report', 'study', 'fit',
+        'sim', 'controller', 'recorder', 'herd', 'recover', 'report', 'study', 'fit', 'view',
     }  # fmt: skip
     for name in NAMES:
         called, module = getattr(programs, name).args[:2]

@@ -3,18 +3,13 @@
 
 from __future__ import annotations
 
-from functools import cache
 import json
 from pathlib import Path
 import re
 import runpy
 
 from herding_ros.studies import cli
-from herding_ros.studies.experiments import EXPERIMENTS
-from herding_ros.studies.reproduction import STUDIES
-from herding_ros.studies.study import Options
 import matplotlib
-from matplotlib.figure import Figure
 from page_code import blocks
 import pytest
 
@@ -26,6 +21,16 @@ def printed_by(program: str, path: Path, capsys: pytest.CaptureFixture[str]) -> 
     path.write_text(program, encoding='utf-8')
     runpy.run_path(str(path))
     return capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_readme(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (program,) = blocks('../README.md', 'python')
+    arrived, time, distance, plans = printed_by(program, tmp_path / 'it.py', capsys).split()
+    assert arrived == 'True'
+    assert 70.0 < float(time) < 90.0
+    assert float(distance) < 0.05
+    assert abs(int(plans) - float(time)) < 5.0
 
 
 def test_five_minutes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -51,29 +56,28 @@ def test_a_potential_and_a_cost(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert float(orders.group(2)) > 1.9
 
 
-def test_the_papers_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The page's first command, in a folder of the test's, gives what the page promises."""
-    # Rendering and the variants of Algorithm 1 take longest, and are tested with the studies.
-    monkeypatch.setattr(Figure, 'savefig', lambda _, path, **__: path.touch())
-    tasks = STUDIES['stochasticity'].tasks(Options(quick=True))
-    parameters = next(task.parameters for task in tasks if task.kind == 'variant')
-    run = EXPERIMENTS['variant']
-    once = cache(lambda: run(**parameters))
-    monkeypatch.setitem(EXPERIMENTS, 'variant', lambda **_: once())
-    command = next(line for code in blocks('tutorial_paper.md') for line in code.splitlines()
-                   if '--quick' in line)  # fmt: skip
-    words = command.replace('/tmp/table', str(tmp_path)).split()
-    assert words[0] == 'study'
-    assert cli.main([*words[1:], '--jobs', '1']) == 0
+COMMANDS = [line.split()[1:] for code in blocks('tutorial_paper.md') for line in code.splitlines()]
+
+
+@pytest.mark.parametrize('words', COMMANDS, ids=' '.join)
+def test_the_papers_table_may_be_asked_for(words: list[str], tmp_path: Path) -> None:
+    """Each command of the page is one; without results it writes a page of gaps."""
+    at = words.index('--out') + 1
+    assert cli.main([*words[:at], str(tmp_path), '--draw']) == 0
+    assert (tmp_path / f'{words[0]}.md').exists()
+
+
+@pytest.mark.slow
+def test_the_papers_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The page's first command gives what the page promises, in a folder of the test's."""
+    words = [word.replace('/tmp/table', str(tmp_path)) for word in COMMANDS[0]]
+    assert cli.main([*words, '--jobs', '1']) == 0
     assert 'these sizes are tiny; without --quick: 48 min of one core' in capsys.readouterr().out
     table = (tmp_path / 'stochasticity.md').read_text(encoding='utf-8')
     assert re.search(r'^\| .*σ', table, re.M)
     assert (tmp_path / 'figures' / 'stochasticity-cost.png').exists()
     listing = blocks('tutorial_paper.md', 'python')[0].replace('/tmp/table', str(tmp_path))
-    said = printed_by(listing, tmp_path / 'listing.py', capsys)
-    assert len(said.splitlines()) == 3
+    assert len(printed_by(listing, tmp_path / 'listing.py', capsys).splitlines()) == 3
 
 
 def test_the_notebook_herds_in_ten_cells(

@@ -19,6 +19,7 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE = 'geometry_msgs/msg/PoseStamped'
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
+PATH, TRAJECTORY = 'nav_msgs/msg/Path', 'trajectory_msgs/msg/MultiDOFJointTrajectory'
 COMMAND, COMMAND_WITHOUT_STAMP = 'geometry_msgs/msg/TwistStamped', 'geometry_msgs/msg/Twist'
 
 _STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -36,6 +37,14 @@ class Flock(NamedTuple):
     v: Array
     has_ids: bool
     unseen: int
+
+
+class Planned(NamedTuple):
+    """Where somebody plans to be: points (K, M, 2) [m], of M names, at times (K,) [ns]."""
+
+    times: NDArray[np.int64]
+    points: Array
+    names: tuple[str, ...]
 
 
 class Content(NamedTuple):
@@ -60,8 +69,13 @@ def read_message(stored: Stored, *types: str) -> Content:
         raise Refused('malformed', f'{type(error).__name__}: {error}') from error
     if header is None:
         return Content(None, '', value)
-    ns = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+    # The stamp of a plan is when it begins, not when it was announced.
+    ns = None if isinstance(value, Planned) else _nanoseconds(header.stamp)
     return Content(ns, header.frame_id, value)
+
+
+def _nanoseconds(stamp: Any) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def _flock(cloud: Any) -> Flock:
@@ -114,6 +128,43 @@ def _statuses(message: Any) -> list[tuple[str, dict[str, str]]]:
     ]
 
 
+def _path(message: Any) -> Planned:
+    times = [_nanoseconds(pose.header.stamp) for pose in message.poses]
+    points = [_position(pose.pose, 'path') for pose in message.poses]
+    return _planned(times, np.reshape(points, (-1, 1, 2)), ('',))
+
+
+def _trajectory(message: Any) -> Planned:
+    """Return the points, and where the velocities of the last one lead from there."""
+    start = _nanoseconds(message.header.stamp)
+    times = [start + _nanoseconds(point.time_from_start) for point in message.points]
+    points = [
+        [(at.translation.x, at.translation.y) for at in point.transforms]
+        for point in message.points
+    ]
+    if len(times) > 1:
+        last = message.points[-1]
+        end = 2 * times[-1] - times[-2]
+        ahead = (end - times[-1]) * 1e-9
+        points.append(
+            [
+                (x + ahead * along.linear.x, y + ahead * along.linear.y)
+                for (x, y), along in zip(points[-1], last.velocities, strict=True)
+            ]
+        )
+        times.append(end)
+    names = tuple(message.joint_names)
+    return _planned(times, np.reshape(points, (len(times), len(names), 2)), names)
+
+
+def _planned(times: list[int], points: Array, names: tuple[str, ...]) -> Planned:
+    if not times:
+        raise Refused('empty', 'a plan must have at least one point, got none')
+    if not np.isfinite(_single(points)).all():
+        raise Refused('not finite', 'a plan must be finite, got NaN or infinite values')
+    return Planned(np.array(times), points, names)
+
+
 _READERS: Mapping[str, Callable[[Any], Any]] = {
     CLOUD: _flock,
     ODOMETRY: lambda message: _position(message.pose.pose, 'dog position'),
@@ -121,4 +172,6 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     COMMAND: _velocity,
     COMMAND_WITHOUT_STAMP: _velocity,
     DIAGNOSTICS: _statuses,
+    PATH: _path,
+    TRAJECTORY: _trajectory,
 }

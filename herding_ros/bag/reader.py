@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 from herding_ros.checks import check_frame, check_goal, Refused
 import numpy as np
 
-from .conversion import Flock, read_message
+from .conversion import Flock, Planned, read_message
 from .inspection import inspect
 from .metadata import advice, file_names, read_metadata, string_map
 from .notes import counted, Notes, printable
-from .recorded_run import Array, RecordedRun, Replan
+from .recorded_run import Array, RecordedRun, Replan, Route
 from .run_topics import ROOT_GOAL, RunTopics
 from .stored import STORAGES, Stored, stored_messages, stored_topics
 from .timeline import APART, in_order, restarts, Sample, since
@@ -69,7 +69,7 @@ def read_run(
             f'the bag {folder} has no sheep that can be read: {"; ".join(notes.lines())}'
         )
     frame, _ = Counter(sample.frame for sample in series[names.sheep]).most_common(1)[0]
-    for topic in (names.sheep, *names.dogs.values()):
+    for topic in (names.sheep, *names.dogs.values(), names.plan, names.path):
         series[topic] = _in_frame(series[topic], topic, frame, notes)
     plans = _plans([each for topic in names.diagnostics for each in series.pop(topic)], names)
     parameter = parameters.get(f'{names.namespace}/controller', {}).get('goal')
@@ -106,6 +106,12 @@ def read_run(
         topics=topics,
         notes=notes.lines(),
         messages_lost=_count(custom_data.get('messages_lost', '')),
+        plans=_routes(series[names.plan], [f'dog_{m}' for m in dogs], start),
+        expected=tuple(
+            Route(route.times, route.points[:, 0])
+            for route in _routes(series[names.path], [''], start)
+        ),
+        goals=_goals(series, names, frame, start),
     )
 
 
@@ -291,6 +297,18 @@ def _goal(
     return None
 
 
+def _goals(
+    series: _Series, names: RunTopics, frame: str, start: int
+) -> tuple[tuple[float, Array], ...]:
+    """Return the destinations (2,) [m] that were in force, and from when on [s]."""
+    in_force = series[names.goals[0]]
+    return tuple(
+        ((sample.ns - start) * 1e-9, goal)
+        for sample in in_force
+        for goal in _good_goals([sample], names.goals[0], frame, Notes())
+    )
+
+
 def _good_goals(samples: Iterable[Sample], topic: str, frame: str, notes: Notes) -> list[Array]:
     good = []
     for sample in samples:
@@ -377,6 +395,19 @@ def _commands(of_dogs: Sequence[Sequence[Sample]], start: int) -> tuple[Array, A
         sent = np.array([(0.0, 0.0), *(sample.value for sample in samples)])
         commands[:, m] = sent[np.searchsorted(seconds[m], times, side='right')]
     return times, commands
+
+
+def _routes(samples: Sequence[Sample], names: Sequence[str], start: int) -> tuple[Route, ...]:
+    """Return what was planned for these names (K, M, 2), NaN for one that a plan leaves out."""
+    routes = []
+    for sample in samples:
+        planned: Planned = sample.value
+        points = np.full((len(planned.times), len(names), 2), np.nan)
+        for m, name in enumerate(names):
+            if name in planned.names:
+                points[:, m] = planned.points[:, planned.names.index(name)]
+        routes.append(Route((planned.times - start).astype(np.float64) * 1e-9, points))
+    return tuple(routes)
 
 
 def _seconds(samples: Sequence[Sample], start: int) -> Array:

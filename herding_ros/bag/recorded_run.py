@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,6 +49,28 @@ class Replan:
 
 
 @dataclass(frozen=True)
+class Route:
+    """Where something is planned, or expected, to be: points (K, ..., 2) [m] at times (K,) [s]."""
+
+    times: Array
+    points: Array
+
+    def ahead(self, time: float) -> Array:
+        """Return the points (n, ..., 2) [m] that are still to come."""
+        return self.points[np.searchsorted(self.times, time) :]
+
+
+def in_play(routes: Sequence[Route], time: float) -> Route | None:
+    """Return the last to begin of those that have begun by a time [s]; None without any.
+
+    routes: as they were announced, which is before they begin; of two that begin together the
+    later counts.
+    """
+    begun = [route for route in routes if route.times[0] <= time]
+    return max(reversed(begun), key=lambda route: route.times[0], default=None)
+
+
+@dataclass(frozen=True)
 class RecordedRun:
     """A recorded run: T states of N sheep and M dogs, K commands.
 
@@ -80,6 +103,17 @@ class RecordedRun:
     notes: tuple[str, ...]
     messages_lost: int | None = None
     """How many messages the recorder knew to be lost; None where it has not said."""
+    plans: tuple[Route, ...] = ()
+    """Where plans take the dogs (K, M, 2), in the order of `dogs`, NaN for one without."""
+    expected: tuple[Route, ...] = ()
+    """Where the flock's centre (K, 2) is expected to go under these plans."""
+    goals: tuple[tuple[float, Array], ...] = ()
+    """Destinations (2,) [m] and since when [s] each was in force, where that is known."""
+
+    def goal_at(self, time: float) -> Array | None:
+        """Return the destination (2,) [m] in force at a time [s], None if there is none."""
+        begun = [goal for since, goal in self.goals if since <= time]
+        return begun[-1] if begun else self.goals[0][1] if self.goals else self.goal
 
     @property
     def seen(self) -> NDArray[np.bool_]:

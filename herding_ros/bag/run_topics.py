@@ -7,7 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import re
 
-from .conversion import CLOUD, COMMAND, COMMAND_WITHOUT_STAMP, DIAGNOSTICS, ODOMETRY, POSE
+from .conversion import (
+    CLOUD,
+    COMMAND,
+    COMMAND_WITHOUT_STAMP,
+    DIAGNOSTICS,
+    ODOMETRY,
+    PATH,
+    POSE,
+    TRAJECTORY,
+)
 from .notes import Notes
 from .recorded_run import Topic
 from .stored import SEVERAL_TYPES
@@ -33,6 +42,8 @@ class RunTopics:
     commands: dict[int, str]
     goals: tuple[str, ...]
     diagnostics: tuple[str, ...]
+    plan: str
+    path: str
 
     @classmethod
     def choose(
@@ -78,6 +89,8 @@ class RunTopics:
             {m: f'{prefix}/dog_{m}/cmd_vel' for m in present},
             (f'{prefix}/herd/goal', f'{prefix}/goal_pose'),
             tuple(dict.fromkeys(('/diagnostics', f'{prefix}/diagnostics'))),
+            f'{prefix}/plan',
+            f'{prefix}/herd/path',
         )
 
     @property
@@ -89,6 +102,8 @@ class RunTopics:
             **dict.fromkeys(self.commands.values(), (COMMAND, COMMAND_WITHOUT_STAMP)),
             **dict.fromkeys((*self.goals, ROOT_GOAL), (POSE,)),
             **dict.fromkeys(self.diagnostics, (DIAGNOSTICS,)),
+            self.plan: (TRAJECTORY,),
+            self.path: (PATH,),
         }
 
 

@@ -282,6 +282,9 @@ def _points(name: str, value: object, least: int, size: int) -> tuple[Any, ...]:
 
 _SHIPPED = Path(__file__).with_name('fields')
 
+_LARGEST = 1_000_000
+"""A bag, which may come from anybody, names the file; to read it must not take for ever."""
+
 
 def shipped_fields() -> list[str]:
     """Return the names of the fields that come with the package."""
@@ -299,6 +302,8 @@ def read_field(name: str) -> tuple[Field, dict[str, Any]]:
     shipped = name in shipped_fields()
     file = _SHIPPED / f'{name}.yaml' if shipped else Path(name).expanduser()
     try:
+        if not (file.is_file() and file.stat().st_size <= _LARGEST):
+            raise ValueError(f'it must be a file of at most {_LARGEST} bytes')
         content = yaml.safe_load(file.read_text(encoding='utf-8'))
         field = Field.of(content)
         parameters = content.get('parameters') or {}

@@ -59,6 +59,11 @@ def distance(x: Array, goal: Array) -> Array:
     return np.linalg.norm(centre(x) - goal, axis=-1)
 
 
+def share_within(x: Array, goal: Array, radius: float) -> Array:
+    """Share chi (...) of sheep at x (..., N, 2) within a radius of goal (2,); lengths in [m]."""
+    return (np.linalg.norm(x - goal, axis=-1) <= radius).mean(axis=-1)
+
+
 def without_strays(x: Array, strays: int) -> Array:
     """Return sheep at x (..., N, 2) [m] but for some strays: (..., N - strays, 2), see `flock`."""
     return x[flock(x, strays)].reshape(*x.shape[:-2], -1, 2)

@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import takewhile
+from pathlib import Path
 import shutil
 import sys
 import textwrap
@@ -17,7 +18,7 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
 
-from .settings import ControllerSettings, RecorderSettings, SimSettings
+from .settings import ControllerSettings, RecorderSettings, SimSettings, ViewSettings
 from .signals import END_WITH_STDIN, end_with_stdin
 
 _SHORTEST_MEANING = 30
@@ -41,7 +42,7 @@ class _Node:
 _NODES = {
     'sim': _Node(
         'Moves the herd, and publishes what sensors would observe of it.',
-        'publishes: sheep, dog_<i>/odom, truth/sheep, truth/dog_<i>/odom, /clock, markers, '
+        'publishes: sheep, dog_<i>/odom, dogs, the same below truth/, /clock, markers, '
         '/diagnostics\nsubscribes to: dog_<i>/cmd_vel, goal_pose\nservices: ~/reset, ~/pause',
         (('', SimSettings()), ('', World()), ('crowd.', Crowd())),
         (
@@ -69,6 +70,15 @@ _NODES = {
         tuple(RecorderSettings().flat()),
         'recorder --ros-args -p bag:=my_bag -p use_sim_time:=true',
     ),
+    'view': _Node(
+        'Shows a herd, its plans and its controls in the browser, or plays a recorded run.',
+        'publishes: goal_pose, /diagnostics\nsubscribes to: truth/sheep, truth/dog_<i>/odom (or '
+        'sheep, dog_<i>/odom where there is no truth), plan, herd/path, herd/goal, /diagnostics, '
+        '/parameter_events\ncalls: sim/pause, sim/reset, set_parameters of sim and controller',
+        (('', ViewSettings()),),
+        tuple(ViewSettings().flat()),
+        'view --ros-args -p port:=9000',
+    ),
 }
 
 
@@ -80,15 +90,17 @@ def answer_help(node: str) -> None:
     _parser(node).parse_known_args([*takewhile('--ros-args'.__ne__, sys.argv[1:])])
 
 
-def read(node: str, args: list[str] | None) -> None:
-    """Check the arguments of a node (default: those of the process) before it starts anything.
+def read(node: str, args: list[str] | None) -> argparse.Namespace:
+    """Return the arguments of a node (default: those of the process) that are not ROS's.
 
     Exits with code 0 after printing help, with 2 if there is an argument that is not ROS's.
     """
     parser = _parser(node)
     given = sys.argv[1:] if args is None else args
-    if parser.parse_args(_without_ros_args(given, parser.error)).end_with_stdin:
+    options = parser.parse_args(_without_ros_args(given, parser.error))
+    if options.end_with_stdin:
         end_with_stdin()
+    return options
 
 
 def _parser(node: str) -> _Parser:
@@ -107,6 +119,10 @@ def _parser(node: str) -> _Parser:
         END_WITH_STDIN, action='store_true',
         help='end when the standard input ends, and so with a parent that holds a pipe to it',
     )  # fmt: skip
+    if node == 'view':
+        parser.add_argument(
+            'bag', nargs='?', type=Path, metavar='BAG', help='folder of a rosbag2 bag to play'
+        )
     return parser
 
 

@@ -23,6 +23,7 @@ from .settings import (
     MotionKind,
     RecorderSettings,
     SimSettings,
+    ViewSettings,
 )
 
 _OF_ROS = ('use_sim_time', 'qos_overrides.')
@@ -120,6 +121,7 @@ def checked(values: Mapping[str, Any]) -> dict[str, Any]:
             ('', each)
             for each in (replace(World(), motion=motion), SimSettings(), RecorderSettings())
         ),
+        ('', ViewSettings()),
         *(('', each) for each in (Control(motion=motion), ControlPreset(), ControllerSettings())),
         ('motion.', MotionKind()),
         ('crowd.', CrowdPreset()),

@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 import itertools
 import os
 from pathlib import Path
@@ -33,11 +34,18 @@ from .supervision import Child
 
 _ARRIVED, _TIMED_OUT, _BAD_ARGUMENTS, _CHILD_DIED = 0, 1, 2, 3
 
+_VIEWED, _FASTEST_VIEWED = 2.0, 10.0
+"""Multiples of real time with --view: at first, and what the controller is prepared for."""
+
 _FOR_PARAMETERS = 30.0
 """Longest time after a run in which the recorder may receive the nodes' parameters [s]."""
 
 
-_NEXT = (('look at', 'trajectories.png'), ('draw again: report', 'bag'))
+_NEXT = (
+    ('look at', 'trajectories.png'),
+    ('open in a browser:', 'replay.html'),
+    ('draw again: report', 'bag'),
+)
 """What to do with the files of a run."""
 
 
@@ -135,6 +143,11 @@ def _parser() -> argparse.ArgumentParser:
         help='run at FACTOR x real time instead of in lockstep, as fast as possible',
     )  # fmt: skip
     add(
+        '--view', action='store_true',
+        help=f'show it in a browser, at {_VIEWED:g} x real time unless --real-time is given; it '
+        'then goes on until Ctrl-C, so that a click can move the destination',
+    )  # fmt: skip
+    add(
         '--out', type=Path, metavar='DIR',
         help='where to write (runs/<time>); must not hold a bag yet',
     )  # fmt: skip
@@ -156,7 +169,7 @@ def _values(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         if value is not None:
             assigned[option.parameter] = value
     values = {}
-    for node in _NODES:
+    for node in (*_NODES, 'view'):
         given = {name: value for file in files for name, value in file(node, '').items()}
         given |= assigned
         values[node] = checked({**_DEFAULTS, **_of_field(given), **given})
@@ -211,14 +224,51 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     defaults: dict[str, Any] = {}
     if not lockstep:
         own['real_time_factor'] = options.real_time
-        defaults['lead'] = lead_at(options.real_time)
+        fastest = max(options.real_time, _FASTEST_VIEWED) if options.view else options.real_time
+        defaults['lead'] = lead_at(fastest)
     return [
         Child(node, {**defaults, **options.values[node], **own_of[node]}, logs) for node in _NODES
     ]
 
 
-def _watch(children: list[Child], watcher: Watcher, interrupted: Noted, console: Console) -> int:
-    """Show how it goes until it is over; return the exit code."""
+class _Viewing:
+    """The view, without which a run goes on, and what there is to say of it."""
+
+    def __init__(self, child: Child, watcher: Watcher, console: Console) -> None:
+        self.child = child
+        self._watcher = watcher
+        self._console = console
+        self._page = ''
+        self._outcome = ''
+
+    def goes_on(self) -> bool:
+        """Say what is new; return whether the page is there to be used."""
+        watcher, say = self._watcher, partial(self._console.print, markup=False, soft_wrap=True)
+        if watcher.page != self._page:
+            self._page = watcher.page
+            say(f'watch it at {self._page}')
+        if watcher.outcome != self._outcome:
+            self._outcome = watcher.outcome
+            if self._outcome:
+                say(f'{self._outcome}; click on another destination, or end with Ctrl-C')
+        if self.child.died:
+            say(f'the view died (exit code {self.child.process.returncode}); the run goes on:')
+            say(self.child.last_lines())
+            return False
+        return True
+
+
+def _watch(
+    children: list[Child],
+    viewing: _Viewing | None,
+    watcher: Watcher,
+    interrupted: Noted,
+    console: Console,
+) -> int:
+    """Show how it goes until it is over; return the exit code.
+
+    With a view it is not over when the flock is home: a click may send it elsewhere.
+    """
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)
     line = ProgressLine(watcher, console)
@@ -232,7 +282,10 @@ def _watch(children: list[Child], watcher: Watcher, interrupted: Noted, console:
                 finished = now
             recorded = watcher.parameters_recorded or now > finished + _FOR_PARAMETERS
             dead = [child for child in children if child.died]
-            over = (watcher.finished and recorded) or bool(dead) or interrupted.is_set()
+            if viewing and not viewing.goes_on():
+                viewing = None
+            over = watcher.finished and recorded and viewing is None
+            over = over or bool(dead) or interrupted.is_set()
             line.update(now, at_once=over)
     for child in dead:
         console.print(f'{child.name} died (exit code {child.process.returncode}):', style='red')
@@ -254,10 +307,15 @@ def _run(options: argparse.Namespace, logs: Path, console: Console) -> int:
     start_ros([])
     watcher = Watcher()
     children: list[Child] = []
+    viewing = None
     try:
         children = _start_children(options, logs)
-        code = _watch(children, watcher, interrupted, console)
+        if options.view:
+            viewing = _Viewing(Child('view', options.values['view'], logs), watcher, console)
+        code = _watch(children, viewing, watcher, interrupted, console)
     finally:
+        if viewing:
+            viewing.child.end()
         for child in reversed(children):  # the recorder last, so that it receives everything
             child.end()
         watcher.destroy_node()
@@ -281,6 +339,8 @@ def main(args: list[str] | None = None) -> int:
     sheep, strays = sim['sheep'], sim['arrival.strays']
     if not strays < sheep:
         parser.error(f'argument --strays: must be less than --sheep, {sheep}, got {strays}')
+    if options.view and options.real_time is None:
+        options.real_time = _VIEWED
     console = Console(highlight=False)
     try:
         options.out = options.out.absolute() if options.out else _new_folder()
@@ -317,7 +377,7 @@ def main(args: list[str] | None = None) -> int:
 
 def _tell_what_next(options: argparse.Namespace, code: int, console: Console) -> None:
     """Say what to do after a run, in lines for 40 columns where the folder's name is short."""
-    folder = os.path.relpath(options.out)
+    folder = min(os.path.relpath(options.out), str(options.out), key=len)
     lines = [f'{what} {folder}/{name}' for what, name in _NEXT if (options.out / name).exists()]
     if code == _TIMED_OUT:
         lines.append('why flocks do not arrive: doc/troubleshooting.md')

@@ -26,6 +26,8 @@ class Watcher(Node):
         self.sim: dict[str, str] = {}
         self.plan: dict[str, str] = {}
         self.recorder: dict[str, str] = {}
+        self.page = ''
+        """Where the view shows it; '' before there is one."""
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -37,6 +39,8 @@ class Watcher(Node):
                 self.plan = values
             elif status.name == 'recorder: bag':
                 self.recorder = values
+            elif status.name == 'view: page':
+                self.page = values.get('url', '')
 
     @property
     def parameters_recorded(self) -> bool:

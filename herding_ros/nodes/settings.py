@@ -107,6 +107,22 @@ class RecorderSettings(Parameters):
 
 
 @dataclasses.dataclass(frozen=True)
+class ViewSettings(Parameters):
+    """Where the view serves its page."""
+
+    host: str = quantity(
+        '127.0.0.1',
+        'address of the page: that of this machine alone, or 0.0.0.0 for everybody in its '
+        'networks, who may then do what the page can',
+    )
+    port: int = quantity(
+        8080, 'port of the page; the next that is free if it is not', low=1, high=65535
+    )
+    frame: str = quantity('map', 'frame of all positions')
+    browser: bool = quantity(True, 'open the page in a browser, where there is a screen')
+
+
+@dataclasses.dataclass(frozen=True)
 class CrowdPreset(Parameters):
     """Where the crowd's defaults come from."""
 

@@ -105,6 +105,9 @@ class Sim(HerdingNode):
         self._sheep = publish(PointCloud2, 'sheep')
         self._dogs = [publish(Odometry, f'dog_{m}/odom') for m in numbers]
         self._true_dogs = [publish(Odometry, f'truth/dog_{m}/odom') for m in numbers]
+        # All at once, for viewers that draw clouds.
+        self._dog_cloud = publish(PointCloud2, 'dogs')
+        self._true_dog_cloud = publish(PointCloud2, 'truth/dogs')
         self._markers = publish(MarkerArray, 'markers')
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
 
@@ -112,6 +115,7 @@ class Sim(HerdingNode):
         """Publish the first state once its subscribers are matched."""
         settings, sensors = self._settings, [self._sheep, *self._dogs]
         everything = [*sensors, self._true_sheep, *self._true_dogs]
+        everything += [self._dog_cloud, self._true_dog_cloud]
         everything += [self._tick, self._markers, self._diagnostics]
         needs_commands = settings.lockstep or settings.wait_for
         if needs_commands and not self._commands.come_from_listeners(sensors):
@@ -171,8 +175,7 @@ class Sim(HerdingNode):
 
     def _advance(self, u: Array) -> None:
         """Move on under commands u (M, 2) [m/s] in the body frames of the dogs."""
-        simulation = self._run.simulation
-        _, headings, _ = simulation.world.motion.odometry(simulation.state.d, u)
+        headings = self._run.simulation.headings
         self._run.advance(
             np.array([messages.turned(*each) for each in zip(u, -headings, strict=True)])
         )
@@ -198,10 +201,10 @@ class Sim(HerdingNode):
         ns, true, u = simulation.nanoseconds, simulation.state, simulation.dog_velocities
         seen = simulation.observe()
         self._tick.publish(ClockMessage(clock=messages.stamp_of(ns)))
-        self._publish_dogs(self._dogs, seen.state.d, seen.dog_velocities)
+        self._publish_dogs(self._dogs, self._dog_cloud, seen.state.d, seen.dog_velocities)
         self._sheep.publish(messages.cloud(seen.state.x, seen.state.v, ns, frame))
         self._true_sheep.publish(messages.cloud(true.x, true.v, ns, frame))
-        self._publish_dogs(self._true_dogs, true.d, u)
+        self._publish_dogs(self._true_dogs, self._true_dog_cloud, true.d, u)
         if simulation.periods % _PERIODS_PER_MARKER == 0:
             goal = self._run.goal
             self._markers.publish(
@@ -216,15 +219,17 @@ class Sim(HerdingNode):
                 )
             )
 
-    def _publish_dogs(self, publishers: list[Publisher], d: Array, u: Array) -> None:
+    def _publish_dogs(
+        self, publishers: list[Publisher], cloud: Publisher, d: Array, u: Array
+    ) -> None:
         """Publish odometry of dogs in states d (M, S) with velocities u (M, 2) [m/s]."""
         simulation, frame = self._run.simulation, self._settings.frame
-        dogs = zip(*simulation.world.motion.odometry(d, u), strict=True)
-        for m, (publisher, dog) in enumerate(zip(publishers, dogs, strict=True), start=1):
-            position, heading, velocity = dog
-            publisher.publish(
-                messages.odometry(position, velocity, m, simulation.nanoseconds, frame, heading)
-            )
+        ns = simulation.nanoseconds
+        places, headings, velocities = simulation.world.motion.odometry(d, u)
+        dogs = zip(publishers, places, headings, velocities, strict=True)
+        for m, (publisher, place, heading, velocity) in enumerate(dogs, start=1):
+            publisher.publish(messages.odometry(place, velocity, m, ns, frame, heading))
+        cloud.publish(messages.cloud(places, velocities, ns, frame, first=1))
 
     def _publish_diagnostics(self) -> None:
         simulation, goal = self._run.simulation, self._run.goal

@@ -17,7 +17,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from .animation import save_animation
 from .figures import save_trajectories
+from .replay import save_replay
 from .summary import summarise
 
 _WIDTH_WITH_TYPES = 72
@@ -29,24 +31,33 @@ def write_report(
     out: str | os.PathLike[str],
     console: Console,
     namespace: str | None = None,
+    animation: Path | None = None,
 ) -> dict[str, Any]:
-    """Write trajectories.png and summary.json of a bag into the folder out, and print them.
+    """Write trajectories.png, replay.html and summary.json of a bag into the folder out.
 
-    `namespace` is needed where the bag has sheep in several. Returns the summary. Raises what
-    `read_run` raises, and OSError when out cannot be written.
+    `namespace` is needed where the bag has sheep in several; `animation`: a file to write as
+    well, see `save_animation`. Prints them and returns the summary. Raises what `read_run` and
+    `save_animation` raise, and OSError when out cannot be written.
     """
     run = read_run(bag, namespace)
     summary = summarise(run)
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    picture, numbers = folder / 'trajectories.png', folder / 'summary.json'
+    picture, replay, numbers = (
+        folder / name for name in ('trajectories.png', 'replay.html', 'summary.json')
+    )
     save_trajectories(run, picture)
+    save_replay(run, replay)
     numbers.write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
     console.print(_table(run, console.width))
     console.print(_in_words(summary), highlight=False)
     for note in summary['notes']:
         console.print(f'note: {note}', highlight=False, markup=False, soft_wrap=True)
-    console.print(f'{picture}\n{numbers}', highlight=False, soft_wrap=True)
+    written = [picture, replay, numbers]
+    if animation:
+        save_animation(run, animation)
+        written.append(animation)
+    console.print('\n'.join(map(str, written)), highlight=False, soft_wrap=True)
     return summary
 
 
@@ -113,7 +124,8 @@ def main(args: list[str] | None = None) -> int:
     """Run the program. Returns 0, 2 when the bag cannot be read or the report not written."""
     parser = argparse.ArgumentParser(
         prog='report',
-        description='Draw and summarise a recorded run: trajectories.png and summary.json.',
+        description='Draw and summarise a recorded run: trajectories.png, replay.html, which any '
+        'browser plays, and summary.json.',
     )
     parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2 bag')
     parser.add_argument(
@@ -123,10 +135,14 @@ def main(args: list[str] | None = None) -> int:
         '--namespace', metavar='NS',
         help='namespace of sim and controller; needed if the bag has sheep in several',
     )  # fmt: skip
+    parser.add_argument(
+        '--animate', type=Path, metavar='FILE',
+        help='write a moving picture as well: FILE.gif, or FILE.mp4 where ffmpeg is',
+    )  # fmt: skip
     options = parser.parse_args(args)
     out = options.out or options.bag.absolute().parent
     try:
-        write_report(options.bag, out, Console(), options.namespace)
+        write_report(options.bag, out, Console(), options.namespace, options.animate)
     except (OSError, ValueError) as error:
         print(f'report: {printable(str(error))}', file=sys.stderr)
         return 2

@@ -6,14 +6,27 @@ from __future__ import annotations
 import os
 
 from herding_ros.bag.recorded_run import Array, RecordedRun
-from herding_ros.model.flock import centre, distance, spread
+from herding_ros.model.flock import centre, spread
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 import numpy as np
 
-from .style import BLUE, draw_goal, draw_herd, draw_paths, draw_walls, GREY, save
-from .summary import arrival, field, initial_spread, over_time
+from .style import (
+    BLUE,
+    draw_goal,
+    draw_herd,
+    draw_paths,
+    draw_walls,
+    GREY,
+    legend,
+    number_dogs,
+    save,
+)
+from .summary import arrival, distances, field, initial_spread, over_time
+
+_MOST_NUMBERS = 60
+"""More dogs than this go without their numbers: nobody could read them."""
 
 
 def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
@@ -26,7 +39,7 @@ def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
     when, widest = arrival(run)[0], arrival(run)[0].spread * initial_spread(run)
     for row, (label, values, limit) in enumerate(
         (
-            ('distance to\ndestination [m]', _distances(run), when.radius),
+            ('distance to\ndestination [m]', distances(run), when.radius),
             ('spread of\nthe flock [m]', over_time(spread, run), widest),
         )
     ):
@@ -35,14 +48,6 @@ def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
         _draw_with_limit(axes, run, values, limit)
         axes.tick_params(labelbottom=False)
     save(figure, path, dpi=160)
-
-
-def _distances(run: RecordedRun) -> Array:
-    """Return the distance of the flock from the destination (T,) [m], NaN if there is none."""
-    goal = run.goal
-    if goal is None:
-        return np.full(len(run.times), np.nan)
-    return over_time(lambda x: distance(x, goal), run)
 
 
 def _draw_map(axes: Axes, run: RecordedRun) -> None:
@@ -54,9 +59,10 @@ def _draw_map(axes: Axes, run: RecordedRun) -> None:
         dogs = f'{len(d)} dogs' if len(d) > 1 else 'dog'
         labels = (f'{sheep}, {when}', f'{dogs}, {when}' if len(d) else None)
         draw_herd(axes, x, d, alpha, 4.5, labels)
+    if len(run.dogs) <= _MOST_NUMBERS:
+        number_dogs(axes, run.d[-1], run.dogs)
     draw_goal(axes, run.goal, 11.0, 'destination')
     axes.margins(0.06)
-    axes.set(xlabel='x [m]', ylabel='y [m]')
     axes.legend(fontsize=8, frameon=True, framealpha=0.9, edgecolor='none', loc='best')
 
 
@@ -77,7 +83,9 @@ def _draw_solves(axes: Axes, run: RecordedRun) -> None:
         times = [replan.time for replan in replans]
         solve_ms = [replan.solve_ms for replan in replans]
         axes.vlines(times, 0.0, solve_ms, color='0.75')
-        axes.plot(times, solve_ms, 'o', color='black', markersize=size)
+        label = f'{kind}s' if replans else None
+        axes.plot(times, solve_ms, 'o', color='black', markersize=size, label=label)
+    legend(axes)
     axes.set_xlabel('time [s]', fontsize=9)
     axes.set_ylabel('solving\na replan [ms]', fontsize=9)
     axes.set_ylim(bottom=0.0)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import os
 from pathlib import Path
 from typing import Any
@@ -93,8 +94,19 @@ def draw_herd(
     axes.plot(*np.transpose(d), '^', color=RED, markersize=2 * size, label=labels[1], **common)
 
 
+def number_dogs(axes: Axes, d: Any, numbers: Iterable[int]) -> None:
+    """Write its number beside each dog at d (M, 2) [m], but for those without a place."""
+    for place, number in zip(np.asarray(d), numbers, strict=True):
+        if np.isfinite(place).all():
+            axes.annotate(
+                str(number), place, (4, 4), textcoords='offset points', fontsize=8,
+                annotation_clip=True,
+            )  # fmt: skip
+
+
 def draw_goal(axes: Axes, goal: Any, size: float = 9.0, label: str | None = None) -> None:
-    """Draw a cross at the goal (2,) [m], if there is one; both axes have the same scale."""
+    """Draw a cross at the goal (2,) [m], if there is one; both axes, in metres, have one scale."""
     if goal is not None:
         axes.plot(*goal, 'x', color='black', markersize=size, markeredgewidth=2, label=label)
     axes.set_aspect('equal', adjustable='datalim')
+    axes.set(xlabel='x [m]', ylabel='y [m]')

@@ -81,6 +81,14 @@ def over_time(observable: Callable[[Array], Array], run: RecordedRun) -> Array:
     return np.array([observable(without_strays(x[here], strays)) for x, here in seen])
 
 
+def distances(run: RecordedRun) -> Array:
+    """Return the distance of the flock from the destination (T,) [m], NaN if there is none."""
+    goal = run.goal
+    if goal is None:
+        return np.full(len(run.times), np.nan)
+    return over_time(lambda x: distance(x, goal), run)
+
+
 def initial_spread(run: RecordedRun) -> float:
     """Return the spread of the flock [m] when first all, or most, of it was seen."""
     return float(spread(flock(run, int(np.argmax(run.seen.sum(axis=1))))))

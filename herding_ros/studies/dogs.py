@@ -107,6 +107,7 @@ def _draw_times(runs: _Runs, figures: Path) -> None:
                     color=colour, label=number(dogs, 'dog'),
                 )  # fmt: skip
         place.set(xscale='log', xlim=(20.0, _LIMIT_OF_ONE), ylim=(0.0, 1.03), xlabel='time [s]')
+        place.set(ylabel='share of the runs that arrived')
         place.set_title(f'{words}, goal {point(goal)}', fontsize=9)
     legend(axes[0, 0])
     save(figure, figures / 'dogs-times.png')

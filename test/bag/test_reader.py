@@ -48,6 +48,62 @@ def write(
         recorder.publish_ns += PERIOD_NS // 2
 
 
+def test_plans_come_back_with_the_time_at_which_they_begin(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    """They are announced before, and not in the order in which they begin."""
+    starts = (1.2, 2.5, 1.4)
+
+    def trajectory(recorder: Any, start: float, x: float, names: list[str]) -> Any:
+        def at(value: float) -> Any:
+            vector = recorder.make('geometry_msgs/Vector3', x=value, y=0.0, z=0.0)
+            turn = recorder.make('geometry_msgs/Quaternion', x=0.0, y=0.0, z=0.0, w=1.0)
+            return recorder.make('geometry_msgs/Transform', translation=vector, rotation=turn)
+
+        later = recorder.make('builtin_interfaces/Duration', sec=0, nanosec=500_000_000)
+        here = recorder.make('builtin_interfaces/Duration', sec=0, nanosec=0)
+        return recorder.make(
+            'trajectory_msgs/MultiDOFJointTrajectory',
+            header=recorder.header(round(start * 1e9)),
+            joint_names=names,
+            points=[
+                recorder.make(
+                    'trajectory_msgs/MultiDOFJointTrajectoryPoint',
+                    transforms=[at(x + k) for _ in names],
+                    velocities=[recorder.twist((2.0, 0.0)) for _ in names],
+                    accelerations=[],
+                    time_from_start=when,
+                )
+                for k, when in enumerate((here, later))
+            ],
+        )
+
+    with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
+        write(recorder, arrays)
+        for k, start in enumerate(starts):
+            recorder.write('/plan', trajectory(recorder, start, float(k), ['dog_2']))
+            header = recorder.header(round(start * 1e9))
+            pose = recorder.make(
+                'geometry_msgs/PoseStamped', header=header, pose=recorder.pose((k, -k))
+            )
+            recorder.write(
+                '/herd/path', recorder.make('nav_msgs/Path', header=header, poses=[pose])
+            )
+        recorder.write('/plan', trajectory(recorder, 0.0, float('nan'), ['dog_1']))
+        for ns, at in ((0, (1.0, 2.0)), (10**9, (3.0, 4.0))):
+            recorder.goal(ns, at, '/herd/goal')
+    run = read_run(tmp_path / 'bag')
+    begun = [plan.times - plan.times[0] for plan in run.plans]
+    assert [plan.times[0] for plan in run.plans] == pytest.approx(starts)
+    assert np.allclose(begun, [0.0, 0.5, 1.0])
+    assert np.isnan(run.plans[1].points[:, 0]).all()  # dog 1 is in none of them
+    # The last point goes on with its velocity for as long as the one before.
+    assert run.plans[1].points[:, 1, 0].tolist() == [1.0, 2.0, 3.0]
+    assert [route.points.tolist() for route in run.expected] == [[[k, -k]] for k in range(3)]
+    assert [run.goal_at(t).tolist() for t in (0.5, 1.5)] == [[1.0, 2.0], [3.0, 4.0]]
+    assert any('/plan' in note and 'finite' in note for note in run.notes)
+
+
 def test_arrays_come_back(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
     with run_recorder(tmp_path / 'bag', PARAMETERS) as recorder:
         write(recorder, arrays)

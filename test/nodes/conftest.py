@@ -190,6 +190,23 @@ def start_for_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable
         yield start_one
 
 
+@pytest.fixture(scope='module')
+def start_together(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Callable[[], tuple[Callable[..., Process], Peer]]]:
+    """Return a function that gives a start of nodes for all tests of a file, and their peer."""
+    with ExitStack() as stack:
+
+        def begin() -> tuple[Callable[..., Process], Peer]:
+            domain = next(_domains)
+            folder = tmp_path_factory.mktemp('together')
+            peer = Peer(domain)
+            stack.callback(peer.close)
+            return stack.enter_context(_starting(folder, domain)), peer
+
+        yield begin
+
+
 class Peer:
     """A node of the test's own, to talk with the processes."""
 

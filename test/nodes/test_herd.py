@@ -30,7 +30,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-NEXT = (('look at', 'trajectories.png'), ('draw again: report', 'bag'))
+NEXT = (
+    ('look at', 'trajectories.png'),
+    ('open in a browser:', 'replay.html'),
+    ('draw again: report', 'bag'),
+)
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
 LARGE = 1600
 OF_RCLPY = ('/rosout', '/parameter_events')
@@ -88,7 +92,8 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
     out = tmp_path / 'out'
     process = start('herd', *OPTIONS, '--out', str(out))
     assert process.wait() == 0
-    assert all(f'{what} {os.path.relpath(out / name)}' in process.log for what, name in NEXT)
+    folder = min(os.path.relpath(out), str(out), key=len)
+    assert all(f'{what} {folder}/{name}' in process.log for what, name in NEXT)
     assert process.log.endswith(f'another flock: --seed {SEED + 1}\n')
     messages = read(out / 'bag')
     x = np.array([positions(cloud) for cloud in messages['/truth/sheep']])
@@ -120,13 +125,9 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
     assert arrived(x[-1].astype(float), np.array(GOAL), at_first, Arrival())
     assert (out / 'trajectories.png').read_bytes().startswith(b'\x89PNG')
 
-    # Other processes with the same seed send the same bytes, but for what they say of wall time,
-    # also if a sheep may be left behind.
+    # Other processes with the same seed send the same bytes, but for what they say of wall time.
     other = tmp_path / 'other'
-    start('herd', *OPTIONS, '--time-limit', '2', '--strays', '1', '--out', str(other)).wait()
-    short_summary = json.loads((other / 'summary.json').read_text())
-    assert [found['arrival.strays'] for found in (summary, short_summary)] == [0, 1]
-    assert short_summary['initial_spread_m'] < summary['initial_spread_m']
+    start('herd', *OPTIONS, '--time-limit', '2', '--out', str(other)).wait()
     long, short = raw(out / 'bag'), raw(other / 'bag')
     assert long.keys() == short.keys()
     assert len(short['/truth/sheep']) == 21

@@ -211,7 +211,7 @@ def test_picture_shows_sheep_dogs_and_goal(run: RecordedRun, tmp_path: Path) -> 
         {'goal': None},
         {'d': np.full((5, 2, 2), NAN)},
         {'d': np.empty((5, 0, 2)), 'dogs': ()},
-        {'x': np.where(np.arange(4)[:, None] < [[[1]]] * 5, 1.0, NAN)},
+        {'x': np.where(np.arange(4)[:, None] < [[[1, 1]]] * 5, 1.0, NAN)},
     ],
 )
 @pytest.mark.filterwarnings('error')
@@ -220,8 +220,27 @@ def test_picture_of_a_poor_run(run: RecordedRun, tmp_path: Path, change: dict[st
     assert (tmp_path / 'trajectories.png').stat().st_size > 10_000
 
 
+def test_every_axis_of_the_picture_is_labelled_and_every_dog_has_its_number(
+    run: RecordedRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(figures, 'save', lambda figure, *_, **__: drawn.append(figure))
+    replans = (*run.replans, replan(3, 1.0, 'feedback'))
+    save_trajectories(replace(run, replans=replans), tmp_path / 'trajectories.png')
+    (figure,) = drawn
+    for axes in figure.axes:
+        assert axes.get_ylabel()
+        assert axes.get_xlabel() or axes.get_shared_x_axes().joined(axes, figure.axes[1])
+    numbers = [text.get_text() for text in figure.axes[0].texts]
+    assert numbers == ['1', '2']
+    kinds = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+    assert kinds == ['windows', 'feedbacks']
+
+
 def test_picture_of_a_single_state(run: RecordedRun, tmp_path: Path) -> None:
-    one = replace(run, times=run.times[:1], x=run.x[:1, :1], v=run.v[:1, :1], d=run.d[:1, :1])
+    one = replace(
+        run, times=run.times[:1], x=run.x[:1, :1], v=run.v[:1, :1], d=run.d[:1, :1], dogs=(1,)
+    )
     save_trajectories(one, tmp_path / 'trajectories.png')
     summarise(one)
 
@@ -320,7 +339,7 @@ def test_program_writes_beside_the_bag(
     bag = bag_of(run, tmp_path / 'bag', run_recorder)
     assert main([str(bag)]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        'bag', 'summary.json', 'trajectories.png'
+        'bag', 'replay.html', 'summary.json', 'trajectories.png'
     ]  # fmt: skip
     assert 'summary.json' in capsys.readouterr().out
 

@@ -36,19 +36,22 @@ _ODOMETRY = np.dtype(
 _COMMAND = np.dtype(_TWIST)
 
 
-def cloud(x: Array, v: Array, ns: int, frame: str) -> bytes:
-    """Sheep at x (N, 2) [m] with velocities v (N, 2) [m/s] as a PointCloud2."""
-    template = _cloud(len(x), frame)
-    sheep = template.numbers['sheep']
-    sheep['x'], sheep['y'] = x.T
-    sheep['vx'], sheep['vy'] = v.T
+def cloud(x: Array, v: Array, ns: int, frame: str, first: int = 0) -> bytes:
+    """Sheep or dogs at x (N, 2) [m] with velocities v (N, 2) [m/s] as a PointCloud2.
+
+    Their ids count from `first`, for dogs from 1.
+    """
+    template = _cloud(len(x), frame, first)
+    points = template.numbers['points']
+    points['x'], points['y'] = x.T
+    points['vx'], points['vy'] = v.T
     return template.stamped(ns)
 
 
 @lru_cache(maxsize=16)
-def _cloud(count: int, frame: str) -> Template:
-    sheep = np.zeros(count, _CLOUD)
-    sheep['id'] = np.arange(count)
+def _cloud(count: int, frame: str, first: int) -> Template:
+    points = np.zeros(count, _CLOUD)
+    points['id'] = first + np.arange(count)
     message = PointCloud2(
         header=Header(frame_id=frame),
         height=1,
@@ -57,10 +60,10 @@ def _cloud(count: int, frame: str) -> Template:
         is_bigendian=False,
         point_step=_CLOUD.itemsize,
         row_step=_CLOUD.itemsize * count,
-        data=array.array('B', sheep.tobytes()),
+        data=array.array('B', points.tobytes()),
         is_dense=True,
     )
-    return Template(message, [('sheep', _CLOUD, count), ('is_dense', '?')])
+    return Template(message, [('points', _CLOUD, count), ('is_dense', '?')])
 
 
 def odometry(d: Array, u: Array, m: int, ns: int, frame: str, heading: float = 0.0) -> bytes:

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page that plays a run: what is packed into it, and that a browser plays it."""
+
+from __future__ import annotations
+
+from base64 import b64decode
+from collections.abc import Callable
+from dataclasses import replace
+import io
+from pathlib import Path
+import re
+import time
+from typing import Any
+
+from herding_ros.bag.recorded_run import in_play, RecordedRun, Route
+from herding_ros.model.field import Field, read_field
+from herding_ros.report.animation import save_animation
+from herding_ros.report.replay import packed, save_replay
+from herding_ros.report.walls import outlines, region
+import numpy as np
+from PIL import Image
+import pytest
+
+BLUE, RED = (33, 102, 172), (194, 41, 43)
+
+
+def a_run(states: int = 101, sheep: int = 12, dogs: int = 2, plans: int = 9) -> RecordedRun:
+    """Sheep that move to the right, dogs behind them, and a plan every second."""
+    rng = np.random.default_rng(0)
+    times = np.linspace(0.0, 10.0, states)
+    way = np.stack([0.1 * times, 0.0 * times], axis=1)[:, None]
+    x = rng.normal(0.0, 0.2, (sheep, 2)) + way
+    d = np.array([[-1.0, 0.5 * m] for m in range(dogs)]) + way
+    horizon = np.linspace(0.0, 4.0, 41)
+
+    def route(k: int, count: int) -> Route:
+        points = np.stack([0.1 * (k + horizon), np.full(41, float(k))], axis=1)
+        return Route(k + horizon, np.repeat(points[:, None], count, axis=1))
+
+    def first(k: int) -> Route:
+        return route(k, 1)
+
+    return RecordedRun(
+        times=times, x=x, v=np.zeros_like(x), d=d, dogs=tuple(range(1, dogs + 1)),
+        command_times=times, commands=np.zeros_like(d), goal=np.array([1.0, 1.0]), replans=(),
+        replans_made=0, namespace='', parameters={}, version='', wall_s=1.0, topics=(), notes=(),
+        plans=tuple(route(k, dogs) for k in range(plans)),
+        expected=tuple(Route(each.times, each.points[:, 0]) for each in map(first, range(plans))),
+        goals=((0.0, np.array([2.0, 0.0])), (5.0, np.array([1.0, 1.0]))),
+    )  # fmt: skip
+
+
+def unpacked(data: dict[str, Any], text: str, *shape: int) -> np.ndarray:
+    values = np.frombuffer(b64decode(text), '<i2').reshape(*shape, 2)
+    places = data['origin'] + values * data['unit']
+    return np.where(values == -32768, np.nan, places)
+
+
+def test_packed_places_are_those_of_the_run() -> None:
+    run = a_run()
+    run.d[40:60, 1] = np.nan  # silent
+    data = packed(run)
+    assert data['unit'] < 1e-4 * np.ptp(data['box'])
+    for name, places in (('x', run.x), ('d', run.d)):
+        found = unpacked(data, data[name], *places.shape[:2])
+        assert np.allclose(found, places, rtol=0, atol=data['unit'], equal_nan=True)
+    times = np.frombuffer(b64decode(data['times']), '<f4')
+    assert np.allclose(times, run.times)
+    assert data['goals'] == [[0.0, 2.0, 0.0], [5.0, 1.0, 1.0]]
+
+
+def test_packed_plans_are_those_that_are_in_play() -> None:
+    run = a_run()
+    data = packed(run)
+    starts = np.frombuffer(b64decode(data['plans']['starts']), '<f4')
+    points = unpacked(data, data['plans']['points'], len(starts), data['plans']['length'], 3)
+    for now in (0.0, 3.7, 8.9):
+        p = int(np.searchsorted(starts, now, side='right')) - 1
+        route = in_play(run.plans, now)
+        assert route is not None
+        times = np.linspace(route.times[0], route.times[-1], data['plans']['length'])
+        for m in range(2):
+            expected = [np.interp(times, route.times, route.points[:, m, i]) for i in range(2)]
+            assert np.allclose(points[p, :, m], np.transpose(expected), atol=1e-3)
+        assert np.allclose(points[p, :, 2], points[p, :, 0], atol=1e-3)  # the centre
+
+
+@pytest.mark.parametrize(
+    ('states', 'sheep', 'dogs', 'plans'), [(2000, 1200, 6, 300), (2, 1, 1, 0)]
+)
+def test_page_is_small_whatever_the_run(
+    tmp_path: Path, states: int, sheep: int, dogs: int, plans: int
+) -> None:
+    page = tmp_path / 'replay.html'
+    save_replay(a_run(states, sheep, dogs, plans), page)
+    assert page.stat().st_size < 2_000_000
+
+
+def test_page_needs_nothing_but_itself(tmp_path: Path) -> None:
+    page = tmp_path / 'replay.html'
+    save_replay(a_run(), page)
+    assert not re.search('(src|href|url|import|fetch)[=(]|https?:', page.read_text())
+
+
+def test_walls_of_the_field_are_packed_if_its_file_can_be_one(tmp_path: Path) -> None:
+    run = a_run()
+    shipped = packed(replace(run, parameters={'/sim': {'field': 'pen'}}))
+    field, _ = read_field('pen')
+    assert shipped['walls'] == [[list(point) for point in fence] for fence in field.fences]
+    assert shipped['region'][0] == shipped['region'][-1]
+    assert shipped['box'][1][0] >= max(x for fence in field.fences for x, _ in fence)
+    own = tmp_path / 'own.yaml'
+    own.write_text('fences: [[[0, 0], [1, 1]]]')
+
+    def walls(file: object) -> object:
+        return packed(replace(run, parameters={'/sim': {'field': str(file)}}))['walls']
+
+    assert walls(own) == [[[0.0, 0.0], [1.0, 1.0]]]
+    own.write_text('#' * 1_000_001)
+    assert walls(own) == walls('/dev/zero') == walls(tmp_path) == []
+
+
+def test_outlines_of_obstacles_and_discs_are_closed() -> None:
+    field = Field(obstacles=(((0, 0), (1, 0), (0, 1)),), discs=((2.0, 3.0, 0.5),))
+    for line in outlines(field):
+        assert np.allclose(line[0], line[-1])
+    assert np.allclose(np.linalg.norm(outlines(field)[1] - [2.0, 3.0], axis=1), 0.5)
+    assert region(field).shape == (0, 2)
+
+
+def picture(browser: Any) -> np.ndarray:
+    shot = Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert('RGB')
+    return np.asarray(shot).astype(float)
+
+
+def test_browser_plays_it(browser: Any, tmp_path: Path) -> None:
+    page = tmp_path / 'replay.html'
+    save_replay(a_run(), page)
+    browser.get_log('browser')  # of other pages
+    browser.get(page.as_uri())
+
+    def until(condition: Callable[[], object]) -> None:
+        end = time.monotonic() + 20.0
+        while not condition():
+            assert time.monotonic() < end
+            time.sleep(0.05)
+
+    def at() -> float:
+        found = browser.execute_script("return document.getElementById('said')?.textContent ?? ''")
+        return float(re.match(r'([\d.]+) of 10\.0 s', found)[1]) if 'of' in found else -1.0
+
+    until(lambda: at() > 1.0)
+    shown = picture(browser)
+    for colour, least in ((BLUE, 100), (RED, 100), ((0, 0, 0), 50)):
+        assert (np.linalg.norm(shown - colour, axis=-1) < 40.0).sum() > least, colour
+    until(lambda: at() == 10.0)
+    # Its slider goes back, and the sheep with it.
+    move = "const s = document.getElementById('time'); s.value = 2; s.oninput();"
+    browser.execute_script(move)
+    assert at() == 2.0
+
+    def column() -> float:
+        blue = np.linalg.norm(picture(browser)[:, :800] - BLUE, axis=-1) < 40.0
+        return float(np.argwhere(blue)[:, 1].mean())
+
+    early = column()
+    browser.execute_script(move.replace('= 2', '= 9'))
+    assert column() > early + 20.0
+    assert [each for each in browser.get_log('browser') if each['level'] == 'SEVERE'] == []
+
+
+def test_animation_shows_the_run_from_its_start_to_its_end(tmp_path: Path) -> None:
+    file = tmp_path / 'run.gif'
+    save_animation(a_run(states=4), file)
+    with Image.open(file) as found:
+        assert found.n_frames == 4
+        blue = []
+        for k in (0, 3):
+            found.seek(k)
+            shown = np.asarray(found.convert('RGB')).astype(float)
+            blue.append(np.argwhere(np.linalg.norm(shown - BLUE, axis=-1) < 60.0)[:, 1].mean())
+    assert blue[1] > blue[0] + 50.0
+    with pytest.raises(ValueError, match=r'must end in \.gif or \.mp4, got run\.avi'):
+        save_animation(a_run(), tmp_path / 'run.avi')
