@@ -219,6 +219,7 @@ def test_herd_with_a_view_goes_on_until_it_is_told_to_end(
     assert (tmp_path / 'out' / 'replay.html').exists()
 
 
+@pytest.mark.slow  # the same as above, but for how the view ends
 def test_run_goes_on_without_a_view_that_died(start: Callable[..., Any], tmp_path: Path) -> None:
     options = ['--sheep', '5', '--dogs', '2', '--time-limit', '5', '-p', 'browser:=false']
     process = start('herd', '--view', *options, '--out', str(tmp_path / 'out'))
