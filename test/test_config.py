@@ -15,7 +15,13 @@ from herding_ros.control.parameters import Control, CONTROLS, PAPER
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
-from herding_ros.nodes.settings import ControllerSettings, ControlPreset, CrowdPreset, SimSettings
+from herding_ros.nodes.settings import (
+    ControllerSettings,
+    ControlPreset,
+    CrowdPreset,
+    MotionKind,
+    SimSettings,
+)
 import pytest
 import yaml
 
@@ -42,7 +48,11 @@ def with_values(parameters: Parameters, values: dict[str, Any], prefix: str = ''
     return parameters.with_values({k: v for k, v in values.items() if k in own}, prefix)
 
 
-CROWD = {**CrowdPreset().flat('crowd.'), **Crowd().flat('crowd.')}
+CROWD = {
+    **CrowdPreset().flat('crowd.'),
+    **MotionKind().flat('motion.'),
+    **Crowd().flat('crowd.'),
+}
 NODES: dict[str, dict[str, Any]] = {
     'sim': {**CROWD, **World().flat(), **SimSettings().flat()},
     'controller': {

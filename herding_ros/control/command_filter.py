@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from herding_ros.model.bodies import closest
 from herding_ros.model.field import Field, NO_FIELD
 from herding_ros.model.motion import Obedient
+from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 
@@ -40,6 +41,21 @@ class CommandFilter:
     def __init__(self, dogs: int) -> None:
         """Begin without having seen any of so many dogs."""
         self._places = np.full((dogs, 2), np.nan)
+
+    def place(self, m: int, position: Array) -> None:
+        """Take in where a dog is (2,) [m] that is not commanded by a plan."""
+        self._places[m] = position
+
+    def place_of(self, m: int) -> Array:
+        """Return where a dog was seen last (2,) [m]; NaN before."""
+        return self._places[m].copy()
+
+    def is_free(self, m: int, point: Array, control: Control) -> bool:
+        """Whether no other dog is near the straight way of dog m to a point (2,) [m]."""
+        others, way = np.delete(self._places, m, axis=0), point - self._places[m]
+        along = np.clip((others - self._places[m]) @ way / max(way @ way, TINY), 0.0, 1.0)
+        off = np.linalg.norm(others - self._places[m] - along[:, None] * way, axis=1)
+        return bool(np.nanmin(off, initial=np.inf) > 2.0 * control.bodies.separation)
 
     def filtered(
         self,

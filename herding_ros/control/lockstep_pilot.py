@@ -63,7 +63,7 @@ class LockstepPilot(Pilot):
         """Return what the pilot is doing at t [s]."""
         if self._plan is None and self.plans_failed:
             return Condition('standing: no plan could be made', False)
-        return Condition('replying in lockstep', True)
+        return Condition('replying in lockstep', not self.disobedient_dogs)
 
     def _plan_if_due(self, estimate: Observed) -> Announcement | None:
         last, t = self._plan, self._time

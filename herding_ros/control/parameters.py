@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from herding_ros.model.bodies import Body
+from herding_ros.model.delay import delay_quantity, periods
 from herding_ros.model.flock import Allowance, flock
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
@@ -381,6 +382,17 @@ class Control(Parameters):
 
     max_speed: float = quantity(5e-2, 'speed limit u_max of the dogs', 'm/s', low=TINY, live=True)
     motion: MotionModel = Holonomic()
+    delay: float = delay_quantity(
+        'time until dogs carry out a command, which is predicted; what may come on top of it is '
+        'bodies.delay'
+    )
+    dog_timeout: float = quantity(
+        2.0,
+        'a dog that has not run as told for so long is left out of the plans until it does; '
+        '0: never',
+        's',
+        low=0.0,
+    )
     weights: Weights = Weights()
     reference: Reference = Reference()
     horizon: Horizon = Horizon()
@@ -390,6 +402,16 @@ class Control(Parameters):
     sensor: Sensor = Sensor()
     bodies: Bodies = Bodies()
     arrival: Allowance = Allowance()
+
+    def __post_init__(self) -> None:
+        """Check what goes together."""
+        super().__post_init__()
+        periods('Control.delay', self.delay, self.horizon.control_period)
+
+    @property
+    def periods_of_delay(self) -> int:
+        """The delay in control periods."""
+        return periods('Control.delay', self.delay, self.horizon.control_period)
 
     def herded(self, state: HerdState) -> HerdState:
         """Return the herd without the sheep that may be left behind: no dog is sent for them."""
@@ -403,6 +425,7 @@ PAPER = Control(
     optimiser=Optimiser('spg', step_tolerance=5e-3, rules=False),
     mapping=Mapping('aggressive', 'plain', standard_error=0.0),
     bodies=Bodies(separation=0.0, ramp=0.0),
+    dog_timeout=0.0,
 )
 """The paper's own setting: equal weights, interpolated reference, aggressive mapping."""
 

@@ -8,21 +8,26 @@ in how they keep time: `LockstepPilot` replies to each observation, however long
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 import threading
 from typing import Protocol
 
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.dynamics import rollout
 from herding_ros.model.field import field_of
+from herding_ros.model.flock import centre
 from herding_ros.model.motion import Obedient
+from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, finite, HerdState
 import numpy as np
 from numpy.typing import NDArray
 
 from .command_filter import CommandFilter, keeps_distances
 from .estimator import StateEstimator
+from .obedience import Judgement, Obedience
 from .parameters import Control
 from .plan import SLACK
 from .schedule import ScheduledPlan
@@ -32,6 +37,9 @@ from .window import Window
 
 _NAMED = 10
 """Of no more lost sheep the names are told."""
+
+_TRIAL = 5.0
+"""Every so many times `dog_timeout` a dog that does not do as told is tried for that time."""
 
 _REPEAT = 30.0
 """Time after which an event is reported again that has occurred again [s]."""
@@ -134,7 +142,10 @@ class Pilot:
         self.plans_made = self.feedbacks_made = 0
         self.deadlines_missed = self.plans_failed = self.commands_changed = 0
         self.estimate: Observed | None = None
-        """The most likely state at the last observation."""
+        """The most likely state at the last observation, once what is under way is carried out.
+
+        Dogs that do not do as told are left out.
+        """
         self._planner = planner
         self._crowd, self._control = planner.crowd, planner.control
         self._goal = _as_pair(planner.goal)
@@ -158,9 +169,13 @@ class Pilot:
         self._time = -math.inf
         self._said.clear()
         self._visible: tuple[int, ...] = ()
+        self._seen: tuple[int, ...] = ()
         self._command: Array = np.zeros((self.dogs, 2))  # the last one
         self._filter = CommandFilter(self.dogs)
-        self._commands, self._sum_of_commands = 0, np.zeros_like(self._command)  # since observed
+        self._obedience = Obedience(self.dogs)
+        late = self._control.periods_of_delay
+        self._under_way: deque[Array] = deque(np.zeros((self.dogs, 2)) for _ in range(late))
+        self._commands, self._sum_of_commands = 0, np.zeros_like(self._command)  # in effect
         self._afresh = True
         self.estimate = None
         self._estimator.reset()
@@ -182,6 +197,11 @@ class Pilot:
     def silent_dogs(self) -> list[str]:
         """Names of the dogs that are not visible."""
         return [dog_name(m) for m in range(self.dogs) if m not in self._visible]
+
+    @property
+    def disobedient_dogs(self) -> list[str]:
+        """Names of the dogs that do not do as they are told."""
+        return [dog_name(m) for m in sorted(self._obedience.disobedient)]
 
     def estimate_values(self) -> dict[str, object]:
         """Return what the filter knows of its own errors, by name; empty if there is none."""
@@ -220,7 +240,7 @@ class Pilot:
     def _observe(self, observed: Observed) -> Observed:
         """Filter an observation; each counts once."""
         last = self.estimate
-        if last is None or (observed.stamp, observed.dogs) != (last.stamp, last.dogs):
+        if last is None or (observed.stamp, observed.dogs) != (last.stamp, self._seen):
             u = self._sum_of_commands / self._commands if self._commands else self._command
             self._commands, self._sum_of_commands = 0, np.zeros_like(u)
             try:
@@ -238,8 +258,56 @@ class Pilot:
                 self._estimator.reset()
                 state, ids = observed.state, observed.ids
             self._tell_of_hidden_sheep()
-            last = self.estimate = Observed(observed.stamp, ids, state, observed.dogs)
+            self._seen = observed.dogs
+            self._watch_dogs(observed, u)
+            state, dogs = self._without_disobedient_dogs(state, observed.dogs)
+            try:
+                state = self._once_carried_out(state, dogs)
+            except (ValueError, ArithmeticError) as error:  # the prediction is not finite
+                self._record_failure(error)
+            last = self.estimate = Observed(observed.stamp, ids, state, dogs)
         return last
+
+    def _once_carried_out(self, state: HerdState, dogs: tuple[int, ...]) -> HerdState:
+        """Return the state in which the commands that are under way have been carried out."""
+        if not self._under_way:
+            return state
+        horizon, u = self._control.horizon, np.array(self._under_way)[:, list(dogs)]
+        motion = self._control.motion
+        return rollout(self._crowd, state, u, horizon.dt, horizon.substeps, motion=motion).at(-1)
+
+    def _watch_dogs(self, observed: Observed, u: Array) -> None:
+        """Compare where dogs are with where commands u (M, 2) [m/s] led since the last time."""
+        changed = self._obedience.observe(
+            observed.t, observed.state.d, observed.dogs, u, self._control
+        )
+        for m, judgement in changed.items():
+            self._say(*self._standing_of(m, judgement))
+
+    def _standing_of(self, m: int, judgement: Judgement) -> tuple[str, str]:
+        name = dog_name(m)
+        if m not in self._obedience.disobedient:
+            return 'info', f'{name} does as told again: it is planned with'
+        return (
+            'warning',
+            f'{name} does not do as told: its commands led it at {judgement.told[m]:.3g} m/s for '
+            f'dog_timeout, its odometry is {judgement.off[m]:.3g} m/s off that. Planning without; '
+            'others keep away. It is told to run away from the flock now and then, and taken back '
+            'when it does. See what holds it, or whether odometry is stuck; motion.kind and delay '
+            'must be its own',
+        )
+
+    def _without_disobedient_dogs(
+        self, state: HerdState, dogs: tuple[int, ...]
+    ) -> tuple[HerdState, tuple[int, ...]]:
+        """Return the state without these dogs, and the others' indices; if there are others."""
+        good = [row for row, m in enumerate(dogs) if m not in self._obedience.disobedient]
+        if len(good) in (0, len(dogs)):
+            return state, dogs
+        for row, m in enumerate(dogs):
+            if row not in good:
+                self._filter.place(m, state.dogs[row])
+        return replace(state, d=state.d[good]), tuple(dogs[row] for row in good)
 
     def _tell_of_hidden_sheep(self) -> None:
         timeout = self._control.sensor.timeout
@@ -292,6 +360,7 @@ class Pilot:
                 f'commands that are velocities, but motion is {type(control.motion).__name__}; '
                 'set both to 0',
             )
+        asked = self._with_trials(asked, estimate)
         command = self._filter.filtered(
             asked, self._command, estimate.state, estimate.dogs, control, field
         )
@@ -306,6 +375,21 @@ class Pilot:
             walls = ' and off walls' if len(field.bars) else ''
             self._say('info', f'commands are changed to keep dogs apart{walls}; they are counted')
         return command.u
+
+    def _with_trials(self, asked: Array, estimate: Observed) -> Array:
+        """Tell dogs that did not do as told to run away from the flock now and then."""
+        out, timeout = asked.copy(), self._control.dog_timeout
+        for m, since in self._obedience.disobedient.items():
+            waited = (estimate.t - since) % (_TRIAL * timeout)
+            place = self._filter.place_of(m)
+            is_planned_with, is_silent = m in estimate.dogs, m not in self._seen
+            if is_planned_with or is_silent or waited < (_TRIAL - 1.0) * timeout:
+                continue
+            away = place - centre(estimate.state.x)
+            run = 0.5 * self._control.max_speed * away / max(float(np.linalg.norm(away)), TINY)
+            if self._filter.is_free(m, place + timeout * run, self._control):
+                out[m] = run
+        return out
 
     def _announce(self, plan: ScheduledPlan, margin: float) -> Announcement:
         self.plans_made += 1
@@ -333,9 +417,11 @@ class Pilot:
     def _decision(self, command: Array | None, announcement: Announcement | None) -> Decision:
         if command is not None:
             self._command = command
+            self._under_way.append(command)
+            acting = self._under_way.popleft()
             self._commands, self._sum_of_commands = (
                 self._commands + 1,
-                self._sum_of_commands + command,
+                self._sum_of_commands + acting,
             )
         decision = Decision(command, announcement, tuple(self._events), self._error)
         self._events, self._error = [], None

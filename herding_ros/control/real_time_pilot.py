@@ -121,7 +121,7 @@ class RealTimePilot(Pilot):
             return Condition('standing: the plan is over and the next is not ready yet', False)
         if t >= playing.accepted_until:
             return Condition('playing the second half: the next plan is late', False)
-        return Condition('playing a plan', not self.silent_dogs)
+        return Condition('playing a plan', not (self.silent_dogs or self.disobedient_dogs))
 
     # Planning ahead.
 
@@ -130,7 +130,7 @@ class RealTimePilot(Pilot):
         waited = t - self._first_observation
         if len(estimate.dogs) < self.dogs and waited <= self._timing.state_timeout:
             return  # the odometry of the others may only need a moment more
-        self._notice_dogs(estimate.dogs)
+        self._notice_dogs(self._seen)
         task = self._task
         start = self._start_of_window(Request(self._goal, estimate.dogs), t)
         if start is not None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from .bodies import Body, closest, touches
 from .crowd import Crowd
+from .delay import delay_quantity, periods
 from .field import field_of
 from .flock import Arrival, arrived, centre, spread, without_strays
 from .motion import Holonomic, MotionModel
@@ -33,6 +34,7 @@ class World(Parameters):
         0.005, 'standard deviation of observed velocities', 'm/s', low=0.0
     )
     max_speed: float = quantity(5e-2, 'a dog runs no faster than this', 'm/s', low=TINY)
+    delay: float = delay_quantity('time until dogs carry out a command')
     motion: MotionModel = Holonomic()
     bodies: Body = Body()
     start: Start = Start()
@@ -41,6 +43,7 @@ class World(Parameters):
     def __post_init__(self) -> None:
         """Check what goes together."""
         super().__post_init__()
+        periods('World.delay', self.delay, self.control_period)
         if self.arrival.strays >= self.sheep:
             raise ValueError(
                 f'World.arrival.strays must be less than World.sheep, {self.sheep}, '
@@ -103,6 +106,8 @@ class Simulation:
         dogs = world.motion.state(herd.d, facing, np.zeros_like(herd.d))
         self.state = replace(herd, d=dogs)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
+        late = periods('delay', world.delay, world.control_period)
+        self._under_way: list[Array] = [np.zeros((world.dogs, 2))] * late
         self.periods = 0
         self.touches = touches(self.state.dogs[None], world.bodies.radius)
         """How often two dogs have come to touch; they run on all the same."""
@@ -127,6 +132,15 @@ class Simulation:
         return self.periods * round(self.world.control_period * 1e9)
 
     @property
+    def headings(self) -> Array:
+        """Headings (M,) [rad] of the dogs when the next command takes effect."""
+        world, d = self.world, self.state.d
+        if self._under_way:
+            under_way = np.array(self._under_way)
+            d = world.motion.rollout(d, under_way, world.dt, world.substeps)[-1].T
+        return world.motion.odometry(d, self.dog_velocities)[1]
+
+    @property
     def flock(self) -> Array:
         """Positions (n, 2) [m] of the sheep that have to arrive: all but strays."""
         return without_strays(self.state.x, self.world.arrival.strays)
@@ -147,7 +161,7 @@ class Simulation:
         return arrived(x, self.goal, self.initial_spread, when)
 
     def advance(self, u: Array) -> None:
-        """Move on by one control period under the dogs' velocities u (M, 2) [m/s].
+        """Move on by one control period under commands u (M, 2) [m/s], once they take effect.
 
         Commands beyond the speed limit are projected onto it. Raises ValueError, and leaves the
         state as it was, if forces or noise would take the herd beyond all numbers.
@@ -155,14 +169,14 @@ class Simulation:
         from .noise import increments  # a program's help needs no Numba
 
         world = self.world
-        u = world.motion.project(u, world.max_speed)
+        u, *under_way = *self._under_way, world.motion.project(u, world.max_speed)
         noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)
         state = self._moved(u, noise)
         if not np.isfinite(single(np.stack([state.x, state.v]))).all():
             raise ValueError('positions and velocities must be finite in single precision')
         self._count_touches(state.dogs)
         self.state = state
-        self.dog_velocities = u
+        self.dog_velocities, self._under_way = u, under_way
         self.periods += 1
         self._note_who_is_inside()
 

@@ -199,7 +199,10 @@ class Controller(HerdingNode):
             _LOG[event.level](self.get_logger(), event.text)
 
     def _publish_command(self, u: Array, ns: int) -> None:
-        headings, ahead = self._observations.headings, steered_ahead(self._control.motion)
+        headings, ahead = self._observations.headings.copy(), steered_ahead(self._control.motion)
+        estimate = self._pilot.estimate
+        if ahead is not None and estimate is not None:  # as it will be when this takes effect
+            headings[list(estimate.dogs)] = estimate.state.d[:, 2]
         for m, publisher in enumerate(self._commands):
             if publisher.msg_type is TwistStamped:
                 publisher.publish(messages.command(u[m], headings[m], m + 1, ns, ahead))
@@ -249,6 +252,7 @@ class Controller(HerdingNode):
         mismatched = self._mismatches.report_values()
         values = {
             'dogs_silent': ' '.join(pilot.silent_dogs),
+            'dogs_disobedient': ' '.join(pilot.disobedient_dogs),
             'plans_made': pilot.plans_made,
             'feedbacks_made': pilot.feedbacks_made,
             'deadlines_missed': pilot.deadlines_missed,

@@ -175,8 +175,7 @@ class Sim(HerdingNode):
 
     def _advance(self, u: Array) -> None:
         """Move on under commands u (M, 2) [m/s] in the body frames of the dogs."""
-        simulation = self._run.simulation
-        _, headings, _ = simulation.world.motion.odometry(simulation.state.d, u)
+        headings = self._run.simulation.headings
         self._run.advance(
             np.array([messages.turned(*each) for each in zip(u, -headings, strict=True)])
         )

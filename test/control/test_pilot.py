@@ -21,6 +21,7 @@ from herding_ros.control.window import Window
 from herding_ros.model import flock
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.motion import Holonomic
+from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -216,8 +217,8 @@ def test_lockstep_plans_when_due_and_replies_each_time() -> None:
 def test_commands_keep_dogs_apart_and_that_is_counted_and_said_once(keeps_time: bool) -> None:
     bodies = Bodies(
         separation=0.12, margin=0.0, ramp=0.0
-    )  # dogs are 0.1 m from each other, side by side
-    control = replace(CONTROL, bodies=bodies)
+    )  # dogs are 0.1 m from each other, side by side; they do not move, whatever they are told
+    control = replace(CONTROL, bodies=bodies, dog_timeout=0.0)
     if keeps_time:
         field = Field(control=control).herding()
         decisions = field.run(3.0)
@@ -242,7 +243,9 @@ def test_dogs_whose_commands_are_no_velocities_are_not_kept_apart_and_that_is_sa
         project, rollout, transpose = Holonomic.project, Holonomic.rollout, Holonomic.transpose
         state, odometry = Holonomic.state, Holonomic.odometry
 
-    control = replace(CONTROL, bodies=Bodies(separation=0.12, ramp=0.0), motion=Sledge())
+    control = replace(
+        CONTROL, bodies=Bodies(separation=0.12, ramp=0.0), motion=Sledge(), dog_timeout=0.0
+    )
     pilot, _ = lockstep(control)
     decisions = [pilot.decide(seen(0.1 * k)) for k in range(30)]
     assert goal_of(command(decisions[-1])) == [GOAL] * 3
@@ -963,3 +966,77 @@ def test_whatever_happens_there_is_a_plan_in_play_of_bounded_age(
     assert playing.request.goal == field.pilot._goal
     assert playing.request.dogs == field.dogs
     assert field.pilot.deadlines_missed == 0
+
+
+def in_motion(
+    pilot: LockstepPilot, periods: int, follows: Callable[[int], bool]
+) -> list[Decision]:
+    """Decisions for three dogs, of which the second follows its commands when it says so."""
+    decisions: list[Decision] = []
+    start = seen(0.0)
+    d = start.state.d.copy()
+    for k in range(periods):
+        state = replace(start.state, d=d)
+        decisions.append(pilot.decide(replace(start, stamp=round(1e8 * k), state=state)))
+        u = command(decisions[-1]).copy()
+        u[1] *= follows(k)
+        d = d + PERIOD * u
+    return decisions
+
+
+def test_a_dog_that_does_not_do_as_told_is_left_out_of_the_plans_until_it_does() -> None:
+    control = Control(horizon=HORIZON, bodies=Bodies(separation=0.05, margin=0.0, radius=0.02))
+    planner = FakePlanner(control)
+    planner.speed = 0.04
+    pilot = LockstepPilot(planner, 3)
+    decisions = in_motion(pilot, 50, lambda k: k < 20)
+    (event,) = [each for decision in decisions for each in decision.events]
+    assert event.level == 'warning'
+    assert 'dog_2 does not do as told' in event.text
+    assert pilot.disobedient_dogs == ['dog_2']
+    assert not pilot.condition(5.0).good
+    assert planner.solved[-1][1].d.shape == (2, 2)
+    told = [command(decision)[1] for decision in decisions]
+    assert all(u[0] > 0.03 for u in told[10:30])
+    assert not np.any(told[40:])  # within two seconds
+    assert all(command(decision)[0, 0] > 0.03 for decision in decisions[40:])
+    assert pilot.estimate is not None
+    assert pilot.estimate.dogs == (0, 2)
+
+
+def test_a_dog_that_is_free_again_is_tried_and_planned_with() -> None:
+    control = Control(horizon=HORIZON, bodies=Bodies(separation=0.05, margin=0.0, radius=0.02))
+    planner = FakePlanner(control)
+    planner.speed = 0.04
+    pilot = LockstepPilot(planner, 3)
+    decisions = in_motion(pilot, 180, lambda k: not 20 <= k < 60)
+    events = [each for decision in decisions for each in decision.events]
+    assert [each.level for each in events] == ['warning', 'info']
+    assert 'dog_2 does as told again' in events[1].text
+    assert not pilot.disobedient_dogs
+    trial = [command(decision)[1] for decision in decisions[40:160]]
+    away = [u for u in trial if u[0] < 0.0]  # the flock is in front of them
+    assert 0 < len(away) <= 25
+    assert np.linalg.norm(away, axis=1).max() == pytest.approx(0.5 * control.max_speed)
+    assert planner.solved[-1][1].d.shape == (3, 2)
+
+
+def test_commands_under_way_are_predicted() -> None:
+    """The herd is planned for as it will be once they have been carried out."""
+    control, goal = Control(delay=0.5), np.array([0.5, 0.5])
+    world = World(sheep=5, dogs=3, delay=0.5, position_noise=0.0, velocity_noise=0.0, substeps=2,
+                  dt=0.05)  # fmt: skip
+    crowd = Crowd(noise=0.0)
+    simulation = Simulation(crowd, world, goal)
+    pilot = LockstepPilot(RecedingHorizon(crowd, control, goal), 3)
+    expected, states = [], [simulation.state]
+    for k in range(25):
+        decision = pilot.decide(Observed.complete(0.1 * k, simulation.observe().state))
+        assert pilot.estimate is not None
+        expected.append(pilot.estimate.state)
+        simulation.advance(command(decision))
+        states.append(simulation.state)
+    assert np.abs(states[20].dogs - states[10].dogs).max() > 0.02
+    for k, state in enumerate(expected[:20]):
+        np.testing.assert_allclose(state.d, states[k + 5].d, atol=1e-12)
+        np.testing.assert_allclose(state.x, states[k + 5].x, atol=1e-6)

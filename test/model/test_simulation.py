@@ -4,6 +4,7 @@ import dataclasses
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.flock import Arrival
+from herding_ros.model.motion import Unicycle
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
@@ -150,3 +151,35 @@ def test_it_counts_how_often_dogs_touch_and_how_near_they_came() -> None:
     touching = np.array(distances) < 0.08
     assert simulation.touches == (touching[1:] & ~touching[:-1]).sum() == 2
     assert simulation.closest_dogs == min(distances)
+
+
+def test_commands_take_effect_after_the_delay() -> None:
+    late = Simulation(Crowd(), dataclasses.replace(WORLD, delay=0.29), GOAL)  # three periods
+    prompt = Simulation(Crowd(), WORLD, GOAL)
+    rng = np.random.default_rng(0)
+    u = [np.zeros((2, 2))] * 3 + [rng.normal(0.0, 0.02, (2, 2)) for _ in range(7)]
+    for k in range(7):
+        late.advance(u[k + 3])
+        prompt.advance(u[k])
+        np.testing.assert_array_equal(late.state.d, prompt.state.d)
+        np.testing.assert_array_equal(late.state.x, prompt.state.x)
+        np.testing.assert_array_equal(late.dog_velocities, prompt.dog_velocities)
+
+
+def test_headings_are_those_when_the_next_command_takes_effect() -> None:
+    world = dataclasses.replace(WORLD, delay=0.5, motion=Unicycle())
+    simulation = Simulation(Crowd(), world, GOAL)
+    told, turned = [], []
+    for _ in range(12):
+        told.append(simulation.headings)
+        turned.append(simulation.state.d[:, 2])
+        simulation.advance(np.array([[0.03, 0.01], [-0.01, 0.02]]))
+    np.testing.assert_allclose(told[:-5], turned[5:], atol=1e-12)
+    assert np.abs(told[-1] - turned[-1]).max() > 0.05
+
+
+def test_a_delay_without_end_is_refused() -> None:
+    with pytest.raises(
+        ValueError, match=r'World\.delay must be at most 1000 control periods, 100 s'
+    ):
+        dataclasses.replace(WORLD, delay=1e6)

@@ -125,13 +125,9 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
     assert arrived(x[-1].astype(float), np.array(GOAL), at_first, Arrival())
     assert (out / 'trajectories.png').read_bytes().startswith(b'\x89PNG')
 
-    # Other processes with the same seed send the same bytes, but for what they say of wall time,
-    # also if a sheep may be left behind.
+    # Other processes with the same seed send the same bytes, but for what they say of wall time.
     other = tmp_path / 'other'
-    start('herd', *OPTIONS, '--time-limit', '2', '--strays', '1', '--out', str(other)).wait()
-    short_summary = json.loads((other / 'summary.json').read_text())
-    assert [found['arrival.strays'] for found in (summary, short_summary)] == [0, 1]
-    assert short_summary['initial_spread_m'] < summary['initial_spread_m']
+    start('herd', *OPTIONS, '--time-limit', '2', '--out', str(other)).wait()
     long, short = raw(out / 'bag'), raw(other / 'bag')
     assert long.keys() == short.keys()
     assert len(short['/truth/sheep']) == 21

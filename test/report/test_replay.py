@@ -102,7 +102,7 @@ def test_page_needs_nothing_but_itself(tmp_path: Path) -> None:
     assert not re.search('(src|href|url|import|fetch)[=(]|https?:', page.read_text())
 
 
-def test_walls_of_a_field_that_we_ship_are_packed_and_no_file_is_read(tmp_path: Path) -> None:
+def test_walls_of_the_field_are_packed_if_its_file_can_be_one(tmp_path: Path) -> None:
     run = a_run()
     shipped = packed(replace(run, parameters={'/sim': {'field': 'pen'}}))
     field, _ = read_field('pen')
@@ -111,7 +111,13 @@ def test_walls_of_a_field_that_we_ship_are_packed_and_no_file_is_read(tmp_path: 
     assert shipped['box'][1][0] >= max(x for fence in field.fences for x, _ in fence)
     own = tmp_path / 'own.yaml'
     own.write_text('fences: [[[0, 0], [1, 1]]]')
-    assert packed(replace(run, parameters={'/sim': {'field': str(own)}}))['walls'] == []
+
+    def walls(file: object) -> object:
+        return packed(replace(run, parameters={'/sim': {'field': str(file)}}))['walls']
+
+    assert walls(own) == [[[0.0, 0.0], [1.0, 1.0]]]
+    own.write_text('#' * 1_000_001)
+    assert walls(own) == walls('/dev/zero') == walls(tmp_path) == []
 
 
 def test_outlines_of_obstacles_and_discs_are_closed() -> None:

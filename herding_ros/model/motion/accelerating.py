@@ -59,6 +59,6 @@ class Accelerating(Holonomic):
 
     def bend(self, max_speed: float, seconds: float, distance: float) -> float:
         """Return what comes of the line between two dogs turning while velocities still change."""
-        turn = 2.0 * max_speed * seconds / distance
+        turn = min(2.0 * max_speed * seconds / max(distance, TINY), 1.0)
         change = min(2.0 * self.largest_change(seconds), 4.0 * max_speed)
         return 0.5 * turn * change * seconds
