@@ -350,3 +350,21 @@ def test_dead_recorder_is_named_though_its_bag_is_not_closed(
     assert 'no report' in process.log
     assert 'Traceback' not in process.log
     assert psutil.wait_procs(children, timeout=5.0)[1] == []
+
+
+def values_of(*arguments: str) -> dict[str, dict[str, Any]]:
+    return herd._values(herd._parser().parse_args(arguments))
+
+
+def test_a_field_brings_its_destination_and_parameters() -> None:
+    values = values_of('--field', 'pen')
+    for node in ('sim', 'controller'):
+        assert values[node]['field'] == 'pen'
+        assert values[node]['goal'] == (2.8, 0.0)
+    assert values['sim']['sheep'] == 20
+    assert values_of('--field', 'pen', '--sheep', '7')['sim']['sheep'] == 7
+    assert values_of('--field', 'meadow')['controller']['motion.kind'] == 'unicycle'
+    with pytest.raises(ValueError, match='goal must not be given with a field that has one'):
+        values_of('--field', 'pen', '--goal', '1', '1')
+    with pytest.raises(ValueError, match=r'field must be corner, .* got no_such_field'):
+        values_of('--field', 'no_such_field')
