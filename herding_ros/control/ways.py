@@ -238,10 +238,10 @@ class Ways:
             out[m] = nearest[m] + hit / shapely.length(lines[m]) * (posts[m] - nearest[m])
             out[m] += 1e-3 * (nearest[m] - posts[m])  # on its side
         for _ in range(2):  # out of a corner
-            for bar in range(len(self.field.bars)):
-                gaps, away = self.field.away(out)
-                lacking = np.maximum(self.clearance - gaps[:, bar], 0.0)
-                out += lacking[:, None] * away[:, bar]
+            gaps, away = self.field.away(out)
+            lacking = np.maximum(self.clearance - gaps, 0.0)
+            for bar in np.flatnonzero(lacking.any(axis=0)):
+                out += lacking[:, bar, None] * away[:, bar]
         return out
 
     def round_walls(self, x: Array, place: Array) -> tuple[Array, Array]:

@@ -92,7 +92,12 @@ make_attribute_wrapper(_FormType, 'values', 'values')
 
 @typeof_impl.register(Form)
 def _typeof_form(form: Form, context: Any) -> _FormType:
-    return _FormType(form.key, typeof_impl(form.values, context))
+    # Numba asks at each call, and looks at every value.
+    found: _FormType | None = form.__dict__.get('_type')
+    if found is None:
+        found = _FormType(form.key, typeof_impl(form.values, context))
+        form.__dict__['_type'] = found
+    return found
 
 
 @unbox(_FormType)

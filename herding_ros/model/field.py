@@ -145,6 +145,10 @@ class Field:
 
     def kernel_form(self) -> ExternalForm:
         """Return the force of the walls in compiled code."""
+        return self._form
+
+    @cached_property
+    def _form(self) -> ExternalForm:
         if not len(self.bars):
             return ()
         from .walls import form
