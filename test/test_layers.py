@@ -13,9 +13,9 @@ PACKAGE = Path(herding_ros.__file__).parent
 MAY_IMPORT = {
     'model': set(),
     'control': {'model'},
-    'studies': {'model', 'control', 'report'},
+    'studies': {'model', 'control', 'report', 'fit'},
     'bag': set(),
-    'fit': {'model', 'bag', 'report'},
+    'fit': {'model', 'control', 'bag', 'report'},
     'report': {'bag', 'model'},
     'view': {'model', 'bag', 'report'},
     'nodes': {'model', 'control', 'bag', 'report', 'view'},

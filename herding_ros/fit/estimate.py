@@ -26,15 +26,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 import os
 
+from herding_ros.control.parameters import Sensor
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.parameters import Entry, Parameters
+from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import ndtri
 
-from .prediction import Filter, Innovations, Sensor
+from .prediction import Filter, Innovations
 from .recording import Recording
 
 CONFIDENCE = 0.95
@@ -45,7 +47,7 @@ TOLD = 3.0
 
 _QUANTILE = float(ndtri(0.5 + 0.5 * CONFIDENCE))
 
-_PRIOR = np.log(10.0)
+PRIOR = np.log(10.0)
 """Standard deviation w of the prior: the start is right to a factor of ten or so."""
 
 _DIFFERENCE = 1e-5
@@ -65,8 +67,15 @@ _TINY = 1e-12
 _NEVER = ('crowd.common_noise', 'crowd.noise_field.', 'crowd.external.')
 """Beginnings of the names of parameters that are not fitted."""
 
+NOISES = ('sensor.position_noise', 'sensor.velocity_noise')
+"""What a recording can tell of its sensors."""
+
 Progress = Callable[[int, float], None]
 """Is told the number of the iteration and the objective."""
+
+
+_USUAL = Sensor(World.position_noise, World.velocity_noise)
+"""Where the noise of the sensors begins if nothing is known of it."""
 
 
 @dataclass(frozen=True)
@@ -157,13 +166,13 @@ def fit(
     Raises ValueError without anything to fit, for unknown names, and leads beyond a recording.
     """
     known = _known_noise(recordings, position_noise, velocity_noise)
-    model = _Model(start, replace(Sensor(), **known))
+    model = _Model(start, replace(_USUAL, **known))
     fixed = {f'sensor.{name}' for name in known}
     if not any(np.isfinite(each.v).any() for each in recordings):
         fixed.add('sensor.velocity_noise')
-    entries = list(model.walk())
-    _check_names(hold, entries)
-    fitted = [e for e in entries if e.name not in fixed and _may_change(e, hold)]
+    entries = [e for e in model.walk() if e.name.startswith('crowd.') or e.name in NOISES]
+    check_names(hold, entries)
+    fitted = [e for e in entries if e.name not in fixed and may_change(e, hold)]
     if not fitted:
         raise ValueError('there must be a parameter to fit, but all are held or 0')
     likelihood = _Likelihood(recordings, model, [e.name for e in fitted], leads, step)
@@ -206,7 +215,8 @@ _LEAST_NOISE = 1e-6
 """Exact sensors would make exact observations contradict each other [m, m/s]."""
 
 
-def _check_names(hold: Collection[str], entries: Sequence[Entry]) -> None:
+def check_names(hold: Collection[str], entries: Sequence[Entry]) -> None:
+    """Raise ValueError for a name to hold that no parameter has, nor begins with."""
     for name in hold:
         if not any(_is_named(entry.name, (name,)) for entry in entries):
             raise ValueError(
@@ -219,7 +229,8 @@ def _is_named(name: str, names: Collection[str]) -> bool:
     return any(name == each or (each.endswith('.') and name.startswith(each)) for each in names)
 
 
-def _may_change(entry: Entry, hold: Collection[str]) -> bool:
+def may_change(entry: Entry, hold: Collection[str]) -> bool:
+    """Whether a parameter is fitted: a number above 0 that is not held."""
     positive = type(entry.value) is float and entry.value > 0.0
     return positive and not _is_named(entry.name, (*hold, *_NEVER))
 
@@ -284,7 +295,7 @@ class _Likelihood:
         self._start, self._names = start, list(names)
         values = start.flat()
         self._theta0 = np.log([values[name] for name in names])
-        self._prior = np.eye(len(names)) / _PRIOR**2
+        self._prior = np.eye(len(names)) / PRIOR**2
         self._filters = [Filter(each, leads, step) for each in recordings]
         self._last: tuple[bytes, _Evaluation] | None = None
 

@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from herding_ros.control.parameters import Sensor
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.state import Array
 import numpy as np
 
-from .prediction import Filter, Sensor
+from .prediction import Filter
 from .recording import Recording
 
 AHEAD = (0.0, 1.0, 3.0, 10.0)

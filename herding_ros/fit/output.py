@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import os
 from pathlib import Path
 from typing import Any
 
-from herding_ros.model.parameters import Parameters
+from herding_ros.model.parameters import Entry
 from herding_ros.report.style import BLUE, GREY, new, RED, save
 import numpy as np
 import yaml
 
-from .estimate import CONFIDENCE, Estimate, Fit
+from .estimate import CONFIDENCE, Estimate, Fit, NOISES
 from .forecast import Forecast
 
 _DIGITS = 4
@@ -25,6 +26,7 @@ def parameter_file(fit: Fit, preset: str, sources: str) -> str:
     is from, in words.
     """
     found = {each.name: each for each in fit.estimates}
+    noises = (each for each in fit.sensor.walk('sensor.') if each.name in NOISES)
     lines = [
         f'# The crowd that explains {sources}: the program `fit`. Behind each parameter',
         f'# its {CONFIDENCE:.0%} interval. For sim and controller: --params-file.',
@@ -33,19 +35,19 @@ def parameter_file(fit: Fit, preset: str, sources: str) -> str:
         '  ros__parameters:',
         '    crowd:',
         f'      preset: {preset}',
-        *_lines(fit.crowd, 'crowd.', found, '      '),
+        *_lines(fit.crowd.walk('crowd.'), 'crowd.', found, '      '),
         '    sensor:  # of the controller; the sim calls them position_noise and velocity_noise',
-        *_lines(fit.sensor, 'sensor.', found, '      '),
+        *_lines(noises, 'sensor.', found, '      '),
     ]
     return '\n'.join(lines) + '\n'
 
 
 def _lines(
-    parameters: Parameters, prefix: str, found: dict[str, Estimate], indent: str
+    entries: Iterable[Entry], prefix: str, found: dict[str, Estimate], indent: str
 ) -> list[str]:
     lines: list[str] = []
     opened = ''
-    for name, value, _ in parameters.walk(prefix):
+    for name, value, _ in entries:
         *groups, last = name.removeprefix(prefix).split('.')
         group = '.'.join(groups)
         if group != opened:

@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from herding_ros.control.parameters import Sensor
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import physics, to_lanes
 from herding_ros.model.kernels import lanes
-from herding_ros.model.parameters import Parameters, quantity, TINY
+from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +20,6 @@ from .recording import Recording
 
 _A_SECOND = 1.0
 """Time over which the speed of sheep is looked at before anything is known of them [s]."""
-
-
-@dataclass(frozen=True)
-class Sensor(Parameters):
-    """Errors of what was recorded, standard deviations."""
-
-    position_noise: float = quantity(0.01, 'of observed positions', 'm', low=TINY)
-    velocity_noise: float = quantity(0.005, 'of observed velocities', 'm/s', low=TINY)
 
 
 @dataclass(frozen=True)
@@ -46,7 +39,8 @@ class Filter:
     """A recording, prepared to be predicted by one crowd or another.
 
     leads: times to predict ahead [s], 0 the next observation; step: longest time step of the
-    prediction [s]. Raises ValueError for a lead that is longer than the recording.
+    prediction [s]; stride: number of observations from one start of predictions to the next.
+    Raises ValueError for a lead that is longer than the recording.
     """
 
     def __init__(self, recording: Recording, leads: Sequence[float], step: float) -> None:
@@ -56,7 +50,7 @@ class Filter:
         self._leads = _in_observations(recording, leads)
         self.longest_lead = int(self._leads[-1])
         # Predictions that begin at neighbouring instants say nearly the same.
-        self._stride = int(self._leads[0])
+        self.stride = int(self._leads[0])
         between = np.diff(recording.times)
         steps = max(int(np.ceil(between.max() / step - TINY)), 1)
         self._dt = between / steps
@@ -70,8 +64,20 @@ class Filter:
         self._x, self._v, self._waited = _start(recording)
         self._speed2 = _mean_square_speed(recording)
 
+    @property
+    def seen_ahead(self) -> Array:
+        """The positions that are predicted (T, L, 2, N) [m], as recorded; NaN beyond the end."""
+        seen = self._seen[:, 0, :, : self.n]
+        out = np.full((len(seen), len(self._leads), *seen.shape[1:]), np.nan)
+        for q, lead in enumerate(self._leads):
+            out[: -lead : self.stride, q] = seen[lead :: self.stride]
+        return out
+
     def innovations(self, crowd: Crowd, sensor: Sensor) -> Innovations:
-        """Return how far the recording is off what this crowd predicts."""
+        """Return how far the recording is off what this crowd predicts.
+
+        Of the sensor its noise of positions and velocities counts, above 0.
+        """
         known = np.isfinite(self._v[:, 0])
         p = np.zeros((3, lanes(self.n)))
         p[0, : self.n] = sensor.position_noise**2 + self._speed2 * self._waited**2
@@ -85,7 +91,7 @@ class Filter:
         variances = np.array([sensor.position_noise, sensor.velocity_noise]) ** 2
         kernels.innovations(
             seen, self._d, self._dt, to_lanes(self._x), to_lanes(np.nan_to_num(self._v)), p,
-            crowd.noise, variances, physics(crowd, self.n, 1.0), self._leads, self._stride, off,
+            crowd.noise, variances, physics(crowd, self.n, 1.0), self._leads, self.stride, off,
             variance,
         )  # fmt: skip
         return Innovations(off[..., : self.n], variance[..., : self.n])

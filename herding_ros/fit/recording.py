@@ -4,20 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-import csv
 from dataclasses import dataclass
-import math
 import os
 from pathlib import Path
 from typing import Any
 
 from herding_ros.bag.reader import read_run
 from herding_ros.bag.recorded_run import RecordedRun
+from herding_ros.bag.table import read_table
 from herding_ros.model.state import Array, finite
 import numpy as np
-
-COLUMNS = ('time', 'name', 'x', 'y')
-"""Columns that a table must have; vx and vy may be there too."""
 
 _LEAST = 3
 """A recording has at least so many instants."""
@@ -99,52 +95,10 @@ def without_gaps(times: Array, d: Array) -> Array:
 
 
 def from_table(path: str | os.PathLike[str]) -> Recording:
-    """Return what a CSV file says: a row for each animal and instant.
-
-    Its columns are time [s], name, x, y [m], and, if velocities were measured, vx, vy [m/s]. Names
-    that begin with `dog` are those of dogs, all others those of sheep. Raises OSError when it
-    cannot be read, ValueError with the line that is wrong.
-    """
-    rows = list(_rows(Path(path)))
-    times = np.unique([row[0] for row in rows])
-    names = sorted({row[1] for row in rows})
-    animals = {name: i for i, name in enumerate(names)}
-    seen = np.full((len(times), len(names), 4), np.nan)
-    for time, name, values in rows:
-        seen[np.searchsorted(times, time), animals[name]] = values
-    dogs = np.array([name.startswith('dog') for name in names], dtype=bool)
-    if dogs.all() or not dogs.any():
-        raise ValueError(
-            f'{path}: there must be sheep, and dogs with names that begin with dog, '
-            f'got {", ".join(names[:10])}'
-        )
-    d = without_gaps(times, seen[:, dogs, :2])
-    return Recording(times, seen[:, ~dogs, :2], seen[:, ~dogs, 2:], d, str(path))
-
-
-def _rows(path: Path) -> Any:
-    with path.open(newline='', encoding='utf-8') as file:
-        reader = csv.DictReader(file)
-        missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-        if missing:
-            raise ValueError(f'{path}: must have the columns {", ".join(COLUMNS)}, lacks '
-                             f'{", ".join(missing)}')  # fmt: skip
-        known = set()
-        for line, row in enumerate(reader, 2):
-            try:
-                time, *values = (
-                    float(row.get(key) or 'nan') for key in ('time', 'x', 'y', 'vx', 'vy')
-                )
-            except ValueError:
-                raise ValueError(f'{path}, line {line}: must be numbers, got {row}') from None
-            if not math.isfinite(time) or not math.isfinite(sum(values[:2])):
-                raise ValueError(f'{path}, line {line}: time, x and y must be finite, got {row}')
-            if (time, row['name']) in known:
-                raise ValueError(
-                    f'{path}, line {line}: {row["name"]} must be there once at {time:g} s'
-                )
-            known.add((time, row['name']))
-            yield time, row['name'], values
+    """Return what a CSV file says, see `read_table`, which also says what it raises."""
+    table = read_table(path)
+    d = without_gaps(table.times, table.dogs[..., :2])
+    return Recording(table.times, table.sheep[..., :2], table.sheep[..., 2:], d, str(path))
 
 
 def read(path: str | os.PathLike[str], namespace: str | None = None) -> Recording:

@@ -57,8 +57,8 @@ CROWDS = {
     'guided': Crowd(dog=Morse(2e-3, 0.1, 2e-2, 1.0)),
     'independent': Crowd(Morse(0.0, 1e-2, 0.0, 2.0), Harmonic(), friction=1.0, order=1),
     'sheep': Crowd(
-        Morse(8.9, 1.77, 21.4, 9.6), Morse(2.8, 2.3, 0.0, 2.0), friction=0.25,
-        alignment=Alignment(4.2, 1.7), noise=0.65, common_noise=0.45,
+        Morse(3.165, 1.044, 21.66, 20.0), Morse(2.802, 2.369, 0.0, 2.0), friction=0.2452,
+        alignment=Alignment(4.191, 1.321), noise=0.998, common_noise=0.2689,
     ),
 }  # fmt: skip
 """Crowds by name; `sheep` is the potential between two sheep, `dog` that of a dog on a sheep.
@@ -69,5 +69,6 @@ crowd explodes. `guided` follows its dogs, which are guides: they attract, but n
 themselves, since both parts have the same slope at r = 0. `independent` sheep do not notice each
 other and have no inertia, after the targets of Lama and di Bernardo (2024, arXiv:2307.16797): like
 theirs they flee from dogs as fast as these run. `sheep` predicts real ones, 14 that a dog drove
-in the recordings of Jadhav et al. (2024, Communications Biology 7, 1543): doc/fit.md.
+in the recordings of Jadhav et al. (2024, Communications Biology 7, 1543), as `study real`
+fits them: doc/real.md.
 """

@@ -13,6 +13,7 @@ import sys
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from herding_ros.control.excitation import ExcitingPilot
 from herding_ros.control.lockstep_pilot import LockstepPilot
 from herding_ros.control.parameters import OutOfStepError
 from herding_ros.control.pilot import Announcement, Decision, dog_name
@@ -75,7 +76,8 @@ class Controller(HerdingNode):
         planner = RecedingHorizon(crowd, control, goal, settings.seed)
         self._pilot: LockstepPilot | RealTimePilot
         if settings.lockstep:
-            self._pilot = LockstepPilot(planner, settings.dogs)
+            kind = ExcitingPilot if settings.excite else LockstepPilot
+            self._pilot = kind(planner, settings.dogs)
         else:
             self._pilot = RealTimePilot(planner, settings.dogs, settings, self._seconds)
         self.load_kernels(partial(warm_up, crowd, control.motion))

@@ -11,6 +11,7 @@ from functools import partial
 import itertools
 import os
 from pathlib import Path
+import shlex
 import sys
 import time
 from typing import Any
@@ -113,7 +114,12 @@ _DEFAULTS = {'sheep': 30, 'dogs': 5, 'goal': GOAL, 'seed': 0, 'arrival.strays': 
              'time_limit': 400.0}  # fmt: skip
 """Parameters whose values herd needs to know itself."""
 
-_OWN = {'lockstep', 'wait_for', 'stop_on_arrival', 'bag', 'use_sim_time', 'real_time_factor'}
+_EXCITING = 60.0
+"""Usual length of a run that herds nowhere [s]."""
+
+_OWN = {
+    'lockstep', 'wait_for', 'stop_on_arrival', 'bag', 'use_sim_time', 'real_time_factor', 'excite',
+}  # fmt: skip
 """Parameters that herd sets itself, whatever a file says."""
 
 
@@ -124,7 +130,8 @@ def _parser() -> argparse.ArgumentParser:
         'ends when the flock is home and together. Writes bag/ (rosbag2, mcap), '
         'trajectories.png, summary.json and the logs of the nodes. All traffic stays on this '
         'machine, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set.',
-        epilog='Exit code: 0 the flock arrived, 1 it did not, 2 bad arguments, 3 a process '
+        epilog='Exit code: 0 the flock arrived (with --excite: time is over), 1 it did not, '
+        '2 bad arguments, 3 a process '
         'died, 130 interrupted by Ctrl-C. Example: herd --dogs 3 --goal 1 1 --seed 4',
     )
     add = parser.add_argument
@@ -141,6 +148,11 @@ def _parser() -> argparse.ArgumentParser:
     add(
         '--real-time', type=_number(float, SLOWEST, FASTEST), metavar='FACTOR',
         help='run at FACTOR x real time instead of in lockstep, as fast as possible',
+    )  # fmt: skip
+    add(
+        '--excite', action='store_true',
+        help='herd nowhere: dogs run to and fro through the flock for --time-limit (60), so that '
+        'fit can tell from the bag how sheep respond; not with --real-time',
     )  # fmt: skip
     add(
         '--view', action='store_true',
@@ -168,11 +180,13 @@ def _values(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         value = getattr(options, name.replace('-', '_'))
         if value is not None:
             assigned[option.parameter] = value
-    values = {}
+    values, defaults = {}, dict(_DEFAULTS)
+    if options.excite:
+        defaults['time_limit'] = _EXCITING
     for node in (*_NODES, 'view'):
         given = {name: value for file in files for name, value in file(node, '').items()}
         given |= assigned
-        values[node] = checked({**_DEFAULTS, **_of_field(given), **given})
+        values[node] = checked({**defaults, **_of_field(given), **given})
     return values
 
 
@@ -215,10 +229,12 @@ def _check_folder(folder: Path) -> None:
 def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     lockstep = options.real_time is None
     # In lockstep the stamps are the time, and the clock would only wake the controller.
-    own = {'lockstep': lockstep, 'wait_for': 'recorder', 'stop_on_arrival': True}
+    own = {
+        'lockstep': lockstep, 'wait_for': 'recorder', 'stop_on_arrival': not options.excite,
+    }  # fmt: skip
     own_of = {
         'recorder': {'bag': options.out / 'bag', 'use_sim_time': True},
-        'controller': {**own, 'use_sim_time': not lockstep},
+        'controller': {**own, 'use_sim_time': not lockstep, 'excite': options.excite},
         'sim': own,
     }
     defaults: dict[str, Any] = {}
@@ -296,9 +312,21 @@ def _watch(
         return INTERRUPTED
     if not watcher.parameters_recorded:
         console.print('the bag lacks the parameters of the nodes', style='red')
-    if not watcher.arrived:
-        console.print(watcher.outcome, markup=False, soft_wrap=True)
     return _ARRIVED if watcher.arrived else _TIMED_OUT
+
+
+def _conclude(options: argparse.Namespace, code: int, outcome: str, console: Console) -> int:
+    """Say how the run of a sim ended; return the exit code."""
+    if code == _TIMED_OUT and options.excite:
+        bag = shlex.quote(str(options.out / 'bag'))
+        console.print(
+            f'what it says of the sheep: ros2 run herding_ros fit {bag}', markup=False,
+            soft_wrap=True,
+        )  # fmt: skip
+        return _ARRIVED
+    if code == _TIMED_OUT:
+        console.print(outcome, markup=False, soft_wrap=True)
+    return code
 
 
 def _run(options: argparse.Namespace, logs: Path, console: Console) -> int:
@@ -313,6 +341,7 @@ def _run(options: argparse.Namespace, logs: Path, console: Console) -> int:
         if options.view:
             viewing = _Viewing(Child('view', options.values['view'], logs), watcher, console)
         code = _watch(children, viewing, watcher, interrupted, console)
+        code = _conclude(options, code, watcher.outcome, console)
     finally:
         if viewing:
             viewing.child.end()
@@ -339,6 +368,10 @@ def main(args: list[str] | None = None) -> int:
     sheep, strays = sim['sheep'], sim['arrival.strays']
     if not strays < sheep:
         parser.error(f'argument --strays: must be less than --sheep, {sheep}, got {strays}')
+    if options.excite and (options.view or options.real_time is not None):
+        parser.error(
+            'argument --excite: must not be given with --real-time or --view: it is in lockstep'
+        )
     if options.view and options.real_time is None:
         options.real_time = _VIEWED
     console = Console(highlight=False)
@@ -352,9 +385,11 @@ def main(args: list[str] | None = None) -> int:
         return _BAD_ARGUMENTS
 
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    where = f'to ({sim["goal"][0]:g}, {sim["goal"][1]:g})'
+    if options.excite:
+        where = f'nowhere, for {sim["time_limit"]:g} s,'
     console.print(
-        f'herding {sheep} sheep with {sim["dogs"]} dogs to '
-        f'({sim["goal"][0]:g}, {sim["goal"][1]:g}) on ROS_DOMAIN_ID '
+        f'herding {sheep} sheep with {sim["dogs"]} dogs {where} on ROS_DOMAIN_ID '
         f'{os.environ.get("ROS_DOMAIN_ID", "0")}; output in {options.out}',
         soft_wrap=True,
     )

@@ -65,7 +65,7 @@ class SimSettings(NodeSettings):
         'start.*',
     )
     start_at: float = quantity(
-        0.0, 'the instant of that bag, from its first state on', 's', low=0.0
+        0.0, 'the instant in that file, from its first one on', 's', low=0.0
     )
     command_timeout: float = quantity(
         0.5, 'a dog stops when its last command is older than this', 's', low=TINY
@@ -84,6 +84,17 @@ class ControllerSettings(NodeSettings, Timing):
         100_000, 'a message with more sheep than this is refused', low=1, high=1_000_000
     )
     seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
+    excite: bool = quantity(
+        False,
+        'herd nowhere: dogs run to and fro through the flock, so that fit can tell from a '
+        'recording how sheep respond; in lockstep only',
+    )
+
+    def __post_init__(self) -> None:
+        """Check what goes together."""
+        super().__post_init__()
+        if self.excite and not self.lockstep:
+            raise ValueError('excite needs a sim in lockstep: lockstep must be true, got false')
 
 
 @dataclasses.dataclass(frozen=True)

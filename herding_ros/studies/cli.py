@@ -67,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=(
             'examples:\n'
             '  study symmetry                         a minute; writes studies/symmetry.md\n'
+            '  study real sheep_drives.npz            fits recordings, too\n'
             '  study dogs --seeds 5                   a quarter of it\n'
             '  study all --quick --out /tmp/try       test that everything works\n'
             '  study all --results studies/results --out doc\n'
@@ -76,6 +77,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add('name', nargs='?', choices=[*STUDIES, 'all'], metavar='NAME', help='the study, or all')
+    add(
+        'data', nargs='?', type=Path, metavar='DATA',
+        help='file of recordings, for real: the page says where they are published',
+    )  # fmt: skip
     add('--list', action='store_true', help='list the studies with their sizes and exit')
     add('--seeds', type=_positive, metavar='N', help='use the seeds 0 to N - 1')
     add('--paths', type=_positive, metavar='N', help='Monte Carlo paths of a plan (100)')
@@ -107,7 +112,7 @@ def main(args: list[str] | None = None) -> int:
     parser = _parser()
     given = parser.parse_args(args)
     sigmas = given.sigma and tuple(dict.fromkeys(given.sigma))
-    options = Options(given.seeds, given.paths, given.quick, sigmas)
+    options = Options(given.seeds, given.paths, given.quick, sigmas, given.data)
     console = Console(highlight=False, soft_wrap=True)
     if given.list:
         _list(options, console)
@@ -116,9 +121,13 @@ def main(args: list[str] | None = None) -> int:
         parser.error(f'NAME must be one of {", ".join([*STUDIES, "all"])}')
     names = list(STUDIES) if given.name == 'all' else [given.name]
     store = Store(given.results or given.out / 'results')
-    tasks_of = {name: STUDIES[name].tasks(options) for name in names}
+    try:
+        tasks_of = {name: STUDIES[name].tasks(options) for name in names}
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
     for idle in options.idle:
-        parser.error(f'--{idle} must not be given: {given.name} has none to choose')
+        option = 'DATA' if idle == 'data' else f'--{idle}'
+        parser.error(f'{option} must not be given: {given.name} has none to choose')
     # Both act as Ctrl-C, which a shell ignores in processes that it starts in the background.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
@@ -134,6 +143,13 @@ def main(args: list[str] | None = None) -> int:
                 f'{_duration(sum(task.cost for task in todo))} of one core left; '
                 f'results in {store.folder}'
             )
+            without = [task for task in todo if not task.is_possible]
+            todo = [task for task in todo if task.is_possible]
+            if without:
+                console.print(
+                    f'{len(without)} tasks are left out, since they need DATA: study real DATA; '
+                    'its page says where the data are published'
+                )
             if todo and not has_kernels():
                 console.print('kernels are compiled first, once, for up to a minute')
             if todo:

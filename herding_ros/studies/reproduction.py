@@ -18,6 +18,7 @@ from . import (
     fields,
     mean_field,
     observation,
+    real,
     sampling,
     stabilisation,
     stochasticity,
@@ -44,6 +45,7 @@ FURTHER: dict[str, Study] = {
     'mean_field': mean_field,
     'sampling': sampling,
     'strangers': strangers,
+    'real': real,
 }
 """Studies of what the paper does not show, each with its own page."""
 

@@ -37,7 +37,7 @@ def work(task: Task, key: str) -> Outcome:
     try:
         if task.key != key:
             raise RuntimeError('this worker has another version of herding_ros than the caller')
-        result = EXPERIMENTS[task.kind](**task.parameters)
+        result = EXPERIMENTS[task.kind](**task.parameters, **task.inputs)
     except Exception:
         error = traceback.format_exc()
     return Outcome(task, result, time.perf_counter() - started, error)

@@ -20,13 +20,14 @@ from .task import Task
 class Options:
     """Options of the command line: main numbers of studies (None: the usual ones), a smoke test.
 
-    seeds, paths: how many; sigma: strengths of the noise [m/s^1.5].
+    seeds, paths: how many; sigma: strengths of the noise [m/s^1.5]; data: file of recordings.
     """
 
     seeds: int | None = None
     paths: int | None = None
     quick: bool = False
     sigma: tuple[float, ...] | None = None
+    data: Path | None = None
     _taken: set[str] = field(default_factory=set, init=False, repr=False, compare=False)
 
     def seed_range(self, usual: int) -> range:
@@ -45,9 +46,15 @@ class Options:
         return self.sigma or (quick if self.quick else usual)
 
     @property
+    def recordings(self) -> Path | None:
+        """The file of recordings of a study that fits some; None: what is stored is all."""
+        self._taken.add('data')
+        return self.data
+
+    @property
     def idle(self) -> list[str]:
-        """Names of the numbers that were given and that no study has asked for."""
-        given = ('seeds', 'paths', 'sigma')
+        """Names of what was given and no study has asked for."""
+        given = ('seeds', 'paths', 'sigma', 'data')
         return [name for name in given if getattr(self, name) and name not in self._taken]
 
 

@@ -22,16 +22,24 @@ class Task:
     """One call of an experiment: its name (kind) and its parameters, which JSON can hold.
 
     The parameters, with the seed among them, determine the result. cost: estimated time on one
-    core [s], for the display of the remaining time.
+    core [s], for the display of the remaining time. inputs: further arguments, which say where
+    what the parameters name is found on this machine, and do not determine the result; the task
+    cannot be computed if one is empty.
     """
 
     kind: str
     parameters: dict[str, Any]
     cost: float = field(default=1.0, compare=False)
+    inputs: dict[str, str] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
         """Convert the parameters as a file does: lists for tuples."""
         object.__setattr__(self, 'parameters', json.loads(json.dumps(self.parameters)))
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether it is known where all inputs are."""
+        return all(self.inputs.values())
 
     @cached_property
     def key(self) -> str:

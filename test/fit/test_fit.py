@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+from herding_ros.control.closed_loop import as_policy
+from herding_ros.control.excitation import ExcitingPilot
+from herding_ros.control.parameters import Control
+from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.fit.estimate import Fit, fit
 from herding_ros.fit.recording import Recording
 from herding_ros.model.crowd import Crowd, CROWDS
@@ -10,7 +14,7 @@ from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import World
 import numpy as np
 import pytest
-from recorded import record
+from recorded import GOAL, record
 
 TOLD = ('crowd.dog.repulsion', 'crowd.dog.repulsion_length', 'crowd.friction', 'crowd.noise')
 
@@ -121,6 +125,19 @@ def test_held_parameters_stay(reference: Recording) -> None:
 def test_leads_beyond_the_recording_are_refused(reference: Recording) -> None:
     with pytest.raises(ValueError, match=r'leads must be .* shorter than the recording, 29\.9 s'):
         fit([reference], Crowd(), leads=[1.0, 31.0])
+
+
+@pytest.mark.statistics
+def test_a_run_to_and_fro_tells_all_that_can_be_told() -> None:
+    """What `herd --excite` records in a minute."""
+    inside = []
+    for seed in range(3):
+        pilot = ExcitingPilot(RecedingHorizon(Crowd(), Control(), GOAL, seed), 5)
+        fitted = fit([record(Crowd(), World(seed=seed), 60.0, as_policy(pilot, []))], Crowd())
+        told = {e.name: e for e in fitted.estimates if e.name in TOLD}
+        assert all(e.is_told for e in told.values())
+        inside += [e.low < truth(Crowd())[name] < e.high for name, e in told.items()]
+    assert np.mean(inside) >= 0.9
 
 
 @pytest.mark.statistics

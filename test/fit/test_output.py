@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
+from herding_ros.control.parameters import Sensor
 from herding_ros.fit.estimate import Estimate, Fit
 from herding_ros.fit.output import parameter_file
-from herding_ros.fit.prediction import Sensor
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.potentials import Morse
 import numpy as np

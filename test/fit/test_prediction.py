@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+from herding_ros.control.parameters import Sensor
 from herding_ros.fit.estimate import _Likelihood, _Model
 from herding_ros.fit.forecast import forecast
-from herding_ros.fit.prediction import Filter, Sensor
+from herding_ros.fit.prediction import Filter
 from herding_ros.fit.recording import Recording
 from herding_ros.model.alignment import Alignment
 from herding_ros.model.crowd import Crowd
@@ -105,8 +106,8 @@ def test_gradient_is_that_of_the_objective(leads: list[float]) -> None:
     seen = record(crowd, World(sheep=6, dogs=2, seed=1), 5.0)
     names = ['crowd.dog.repulsion', 'crowd.friction', 'crowd.noise', 'crowd.alignment.rate',
              'sensor.position_noise']  # fmt: skip
-    objective = _Likelihood([seen], _Model(crowd, Sensor()), names, leads, 0.05)
-    values = _Model(crowd, Sensor()).flat()
+    objective = _Likelihood([seen], _Model(crowd, SENSOR), names, leads, 0.05)
+    values = _Model(crowd, SENSOR).flat()
     theta = np.log([values[name] for name in names]) + 0.1
 
     def difference(h: float) -> Array:
@@ -120,7 +121,7 @@ def test_gradient_is_that_of_the_objective(leads: list[float]) -> None:
 def test_errors_of_forecasts_are_as_expected_if_the_crowd_is_right() -> None:
     """A bit larger: at the start some are thrown apart from places that are not well known."""
     seen = [record(Crowd(), World(seed=seed), 30.0) for seed in (1, 2)]
-    judged = forecast(seen, Crowd(), Sensor(), 0.05)
+    judged = forecast(seen, Crowd(), Sensor(0.01, 0.005), 0.05)
     np.testing.assert_array_equal(judged.ahead, [0.0, 1.0, 3.0, 10.0])
     np.testing.assert_allclose(judged.error / judged.expected, 1.1, atol=0.15)
     assert (judged.error[1:] < judged.standing[1:]).all()

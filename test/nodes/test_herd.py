@@ -12,12 +12,14 @@ import signal
 import time
 from typing import Any
 
-from herding_ros.control.closed_loop import closed_loop
+from herding_ros.control.closed_loop import as_policy, closed_loop, play
+from herding_ros.control.excitation import ExcitingPilot
 from herding_ros.control.parameters import Control
+from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model import fast_forces
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import Arrival, arrived, spread
-from herding_ros.model.simulation import World
+from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import herd
 from herding_ros.nodes.signals import ENDING, note_signals
 from herding_ros.nodes.sim import SimSettings
@@ -133,6 +135,20 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
     assert len(short['/truth/sheep']) == 21
     for topic in short.keys() - {'/diagnostics'}:
         assert short[topic] == long[topic][: len(short[topic])], topic
+
+
+def test_dogs_run_to_and_fro_for_a_recording(start: Callable[..., Any], tmp_path: Path) -> None:
+    """As in the loop without ROS; the run ends by itself and says what to do with the bag."""
+    crowd, world = Crowd(), World(sheep=SHEEP, dogs=DOGS, seed=SEED)
+    pilot = ExcitingPilot(RecedingHorizon(crowd, Control(), np.array(GOAL), SEED), DOGS)
+    field = Simulation(crowd, world, np.array(GOAL))
+    expected = play(field, as_policy(pilot, []), 3.0, stop=False)
+    out = tmp_path / 'out'
+    process = start('herd', *OPTIONS, '--excite', '--time-limit', '3', '--out', str(out))
+    assert process.wait() == 0, process.log
+    x = np.array([positions(cloud) for cloud in read(out / 'bag')['/truth/sheep']])
+    assert np.array_equal(x, expected.x.astype(np.float32))
+    assert f'ros2 run herding_ros fit {out}/bag' in process.log
 
 
 def test_large_flock_is_herded_as_in_the_loop_without_ros(

@@ -12,35 +12,39 @@ from herding_ros.nodes.start import read_start
 import numpy as np
 import pytest
 
-TABLE = """# a flock of two
-sheep,0.1,-0.2
-dog, 1.0, 2.0
+TABLE = """# a flock of two, in the form that fit takes
+time,name,x,y,vx,vy
+10, molly, 0.1,-0.2
+10, dog_1, 1.0, 2.0
 
-sheep,3e-1,0.4,0.01,-0.02
+10, polly,3e-1,0.4,0.01,-0.02
+12, molly, 5.0, 6.0
+12, dog_1, 7.0, 8.0
 """
 
 
-def test_table_is_read(tmp_path: Path) -> None:
+def test_table_is_read_at_the_nearest_instant(tmp_path: Path) -> None:
     file = tmp_path / 'start.csv'
     file.write_text(TABLE)
-    herd = read_start(file, 0.0)
+    herd = read_start(file, 0.9)
     np.testing.assert_array_equal(herd.x, [[0.1, -0.2], [0.3, 0.4]])
     np.testing.assert_array_equal(herd.v, [[0.0, 0.0], [0.01, -0.02]])
     np.testing.assert_array_equal(herd.d, [[1.0, 2.0]])
+    herd = read_start(file, 1.1)
+    np.testing.assert_array_equal(herd.x, [[5.0, 6.0]])  # the other one is out of sight
+    np.testing.assert_array_equal(herd.d, [[7.0, 8.0]])
 
 
 @pytest.mark.parametrize(
     ('table', 'message'),
     [
+        ('sheep,1,2\ndog,1,2\n', 'must begin with a line that names the columns time, name, x, y'),
+        (TABLE.replace('0.4', 'b'), 'line 6: must be numbers'),
         (
-            'sheep,1,2\ncat,1,2\n',
-            'line 2 must be sheep,x,y or sheep,x,y,vx,vy or dog,x,y, got cat',
+            TABLE.replace('dog', 'cat'),
+            'there must be sheep, and dogs with names that begin with dog',
         ),
-        ('sheep,1\ndog,1,2\n', 'line 1 must be'),
-        ('sheep,1,b\ndog,1,2\n', 'line 1 must be'),
-        ('dog,1,2,3,4\n', 'line 1 must be'),
-        ('sheep,1,2\n', 'at least one sheep and one dog, got 1 sheep and 0 dogs'),
-        ('sheep,1,nan\ndog,1,2\n', 'must be finite'),
+        (TABLE.replace('7.0', 'nan'), 'line 8: time, x and y must be finite'),
     ],
 )
 def test_what_is_no_start_is_refused(tmp_path: Path, table: str, message: str) -> None:
@@ -48,6 +52,13 @@ def test_what_is_no_start_is_refused(tmp_path: Path, table: str, message: str) -
     file.write_text(table)
     with pytest.raises(ValueError, match=re.escape(message)):
         read_start(file, 0.0)
+
+
+def test_no_dog_at_the_instant_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / 'start.csv'
+    file.write_text(TABLE.replace('12, dog_1, 7.0, 8.0\n', ''))
+    with pytest.raises(ValueError, match='at least one sheep and one dog, got 1 sheep and 0 dogs'):
+        read_start(file, 2.0)
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
