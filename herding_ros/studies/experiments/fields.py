@@ -100,13 +100,14 @@ def run(
     started = time.process_time()
     track = play(simulation, decide, time_limit)
     seconds = time.process_time() - started
+    track = replace(track, d=track.d[..., :2])  # where dogs are, without their headings
     period = world.control_period
     instants = [float(track.t[k]) for k in np.linspace(0, len(track.t) - 1, parts).astype(int)]
     return {
         **measures(track, goal, period),
         'closest_dogs': simulation.closest_dogs if dogs > 1 else None,
         'stops': simulation.stops,
-        'gap': float(place.away(track.d[..., :2].reshape(-1, 2))[0].min()),
+        'gap': float(place.away(track.d.reshape(-1, 2))[0].min()),
         'crossings': crossings(place, track.x),
         'inside': None if place.region is None else int(_inside(place, track.x[-1]).sum()),
         'cpu': seconds,
