@@ -62,7 +62,8 @@ class Problem:
     def tracking(self) -> Tracking:
         """The cost of where the sheep are."""
         times = np.arange(self.steps + 1.0) * DT
-        target = reference('attainable', 0.025, centre(self.coarse.state.x), np.array(GOAL), times)
+        route = np.stack([centre(self.coarse.state.x), GOAL])
+        target = reference('attainable', 0.025, route, times)
         return Tracking(3.0, 3.0, target)
 
     @cached_property

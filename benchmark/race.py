@@ -78,7 +78,7 @@ class Race:
         times = np.arange(steps + 1.0) * coarse.dt
         task = Task.of(self.control, coarse, self.goal)
         costs = [*task.costs(times), ControlEffort(self.control.weights.control)]
-        target = reference('attainable', task.speed, task.start, self.goal, times)
+        target = reference('attainable', task.speed, np.stack([task.start, self.goal]), times)
         return Objective(costs), target
 
     def on_control_grid(self) -> tuple[CoarseModel, Objective]:

@@ -17,7 +17,7 @@ ONE = HerdState(np.zeros((1, 2)), np.zeros((1, 2)), np.array([[9.0, 9.0]]))
 
 def test_interpolated_reference_reaches_the_goal_with_the_window() -> None:
     times, start = np.linspace(0.0, 8.0, 81), np.array([-0.1, 0.2])
-    found = reference('interpolated', 0.0, start, GOAL, times)
+    found = reference('interpolated', 0.0, np.stack([start, GOAL]), times)
     expected = [start + t / 8.0 * (GOAL - start) for t in times]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
 
@@ -25,12 +25,19 @@ def test_interpolated_reference_reaches_the_goal_with_the_window() -> None:
 @pytest.mark.parametrize('away', [0.0, 0.1, 5.0])
 def test_attainable_reference_keeps_its_speed_and_waits_at_the_goal(away: float) -> None:
     times, start = np.linspace(0.0, 20.0, 201), GOAL - away * np.array([0.6, 0.8])
-    found = reference('attainable', 0.02, start, GOAL, times)
+    found = reference('attainable', 0.02, np.stack([start, GOAL]), times)
     np.testing.assert_allclose(found[0], start)
     way = np.linalg.norm(found - start, axis=1)
     np.testing.assert_allclose(way, np.minimum(0.02 * times, away), rtol=0, atol=1e-14)
     left = np.linalg.norm(GOAL - found, axis=1)
     np.testing.assert_allclose(way + left, away, rtol=0, atol=1e-14)  # straight there
+
+
+def test_reference_takes_each_leg_of_a_route_at_one_speed() -> None:
+    route = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.4]])
+    found = reference('attainable', 0.1, route, np.array([0.0, 1.5, 3.0, 5.0, 7.0, 9.0]))
+    expected = [[0.0, 0.0], [0.15, 0.0], [0.3, 0.0], [0.3, 0.2], [0.3, 0.4], [0.3, 0.4]]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
 
 
 def test_pace_is_the_speed_that_a_sheep_keeps_before_a_dog_at_the_standoff() -> None:

@@ -426,7 +426,7 @@ def speed(command: TwistStamped) -> float:
 def test_controller_in_lockstep_answers_as_if_nothing_had_been(
     start: Callable[..., Any], peer: Any
 ) -> None:
-    as_planned = {**QUICK, 'bodies__ramp': 0.0}
+    as_planned = {**QUICK, 'bodies__ramp': 0.0, 'dog_timeout': 0.0}  # these dogs only stand
     process = start('controller', lockstep=True, dogs=2, seed=7, **as_planned)
     storm = Storm(peer, process, 'controller: state')
     commands = [peer.listen(TwistStamped, f'dog_{m}/cmd_vel') for m in (1, 2)]

@@ -159,6 +159,8 @@ def test_listening_to_the_time_is_not_recording_it(start: Callable[..., Any], pe
     sheep = peer.listen(PointCloud2, 'sheep')
     for kind, topic in [
         (PointCloud2, 'truth/sheep'),
+        (PointCloud2, 'dogs'),
+        (PointCloud2, 'truth/dogs'),
         (Odometry, 'dog_1/odom'),
         (Odometry, 'truth/dog_1/odom'),
         (MarkerArray, 'markers'),
