@@ -426,7 +426,8 @@ def speed(command: TwistStamped) -> float:
 def test_controller_in_lockstep_answers_as_if_nothing_had_been(
     start: Callable[..., Any], peer: Any
 ) -> None:
-    as_planned = {**QUICK, 'bodies__ramp': 0.0, 'dog_timeout': 0.0}  # these dogs only stand
+    # One plan, played to dogs that only stand.
+    as_planned = {**QUICK, 'bodies__ramp': 0.0, 'dog_timeout': 0.0, 'horizon__feedback': 2.0}
     process = start('controller', lockstep=True, dogs=2, seed=7, **as_planned)
     storm = Storm(peer, process, 'controller: state')
     commands = [peer.listen(TwistStamped, f'dog_{m}/cmd_vel') for m in (1, 2)]
@@ -437,7 +438,8 @@ def test_controller_in_lockstep_answers_as_if_nothing_had_been(
     rng = np.random.default_rng(3)
     x = rng.uniform(-0.3, 0.3, (6, 2)).astype(np.float32)
     herd = HerdState(x, np.zeros((6, 2)), np.array([[-0.6, -0.5], [-0.4, -0.7]]))
-    control = Control(horizon=Horizon(length=4.0, accepted=2.0), mapping=Mapping(paths=20))
+    horizon = Horizon(length=4.0, accepted=2.0, feedback=2.0)
+    control = Control(horizon=horizon, mapping=Mapping(paths=20))
     planner = RecedingHorizon(Crowd(), control, np.array([0.5, 0.5]), seed=7)
     planner.solve(herd, 0.0)
     assert planner.plan is not None
