@@ -101,3 +101,14 @@ def test_a_dog_at_its_post_stays() -> None:
     x = ring(9, 0.2)
     d = policy().posts(x, 1)
     np.testing.assert_allclose(policy()(herd(x, d), 0.0), 0.0, atol=1e-12)
+
+
+def test_dogs_with_a_heading_are_told_what_others_are() -> None:
+    x, d = np.array([[0.0, 0.0], [0.1, 0.0]]), np.array([[1.0, 0.2], [-0.7, 0.5]])
+    states = (d, np.hstack([d, [[0.3], [-2.0]]]))
+    told = [
+        Strombom(np.array([2.0, 0.0]), np.random.default_rng(0))(HerdState(x, 0.0 * x, each), 0.0)
+        for each in states
+    ]
+    assert told[0].shape == (2, 2)
+    np.testing.assert_array_equal(told[1], told[0])

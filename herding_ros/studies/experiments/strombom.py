@@ -51,14 +51,14 @@ class Strombom:
 
     def __call__(self, observed: HerdState, t: float) -> Array:
         """Return the dogs' velocities (M, 2) [m/s]."""
-        posts = nearest_posts(observed.d, self.posts(observed.x, len(observed.d)))
+        posts = nearest_posts(observed.dogs, self.posts(observed.x, len(observed.dogs)))
         if self.ways is not None:
-            posts = self.ways.steps(observed.d, self.ways.in_front(observed.x, posts))
-        offset = posts - observed.d
+            posts = self.ways.steps(observed.dogs, self.ways.in_front(observed.x, posts))
+        offset = posts - observed.dogs
         left = np.linalg.norm(offset, axis=1, keepdims=True)
         angle = self.rng.uniform(0.0, 2.0 * np.pi, len(offset))
         heading = unit(offset) + self.noise * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        gaps = np.linalg.norm(observed.d[:, None] - observed.x, axis=-1).min(axis=1)
+        gaps = np.linalg.norm(observed.dogs[:, None] - observed.x, axis=-1).min(axis=1)
         speed = np.where(gaps < 3.0 * self.sheep_distance, self.slow, 1.0) * self.max_speed
         # A dog closer than the distance of a control period would run to and fro.
         return unit(heading) * np.minimum(speed[:, None], left / _PATIENCE)
