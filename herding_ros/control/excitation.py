@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from herding_ros.model.flock import centre
 from herding_ros.model.scenario import Start
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -48,4 +49,4 @@ class ExcitingPilot(LockstepPilot):
         angle = 2.0 * np.pi * np.arange(self.dogs) / self.dogs
         way = self._radius * np.cos(self._control.max_speed * t / self._radius + angle)
         direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return np.asarray(state.x.mean(axis=0) + way[:, None] * direction)
+        return np.asarray(centre(state.x) + way[:, None] * direction)

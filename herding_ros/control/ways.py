@@ -26,7 +26,6 @@ _INNER = 0.9
 _PER_OCTAVE = 4
 """Clearances are rounded down to steps of which so many halve it, so that few graphs are made."""
 
-
 _DETOUR = 1.5
 """A wide way is not taken if it is more than so many times as long as the shortest."""
 
@@ -63,10 +62,7 @@ class Corners:
 
     def sees(self, a: Array, b: Array) -> NDArray[np.bool_]:
         """Return whether a straight way leads from each of a (n, 2) to each of b (m, 2)."""
-        import shapely
-
-        lines = np.stack(np.broadcast_arrays(a[:, None], b[None]), axis=2)
-        return ~np.asarray(shapely.intersects(self._blocked, shapely.linestrings(lines)))
+        return ~_cross(self._blocked, a, b)
 
     def way(self, start: Array, end: Array) -> Array | None:
         """Return the corners (n, 2) of the shortest way between two points; None if there is none.
@@ -126,10 +122,7 @@ class Corners:
 
     def _hidden(self, a: Array, b: Array) -> NDArray[np.bool_]:
         """Return whether a wall hides each of b (m, 2) from each of a (n, 2)."""
-        import shapely
-
-        lines = np.stack(np.broadcast_arrays(a[:, None], b[None]), axis=2)
-        return np.asarray(shapely.intersects(self.field.walls, shapely.linestrings(lines)))
+        return _cross(self.field.walls, a, b)
 
     def _freed(self, point: Array) -> Array | None:
         """Return the way (1 or 2, 2) from a point to where the walls are far enough, or None."""
@@ -142,6 +135,14 @@ class Corners:
         if line is None or line.intersects(self.field.walls):
             return None
         return shapely.get_coordinates(line)
+
+
+def _cross(shape, a: Array, b: Array) -> NDArray[np.bool_]:  # type: ignore[no-untyped-def]
+    """Return whether a shape meets the lines from each of a (n, 2) to each of b (m, 2)."""
+    import shapely
+
+    lines = np.stack(np.broadcast_arrays(a[:, None], b[None]), axis=2)
+    return np.asarray(shapely.intersects(shape, shapely.linestrings(lines)))
 
 
 @lru_cache(maxsize=64)

@@ -10,6 +10,7 @@ import subprocess
 from typing import Any
 
 from herding_ros.bag.recorded_run import Array, in_play, RecordedRun
+from herding_ros.model.field import Field
 from herding_ros.model.flock import centre
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -67,12 +68,13 @@ def _pictures(run: RecordedRun) -> list[Image.Image]:
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout='constrained')
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    box, middle = _box(run), over_time(centre, run)
+    place = field(run)[0]
+    box, middle = _box(run, place), over_time(centre, run)
     states = np.linspace(0, len(run.times) - 1, min(_PICTURES, len(run.times))).round().astype(int)
     found = []
     for k in states:
         axes.clear()
-        _draw(axes, run, int(k), middle)
+        _draw(axes, run, place, int(k), middle)
         axes.set(xlim=box[:, 0], ylim=box[:, 1])
         axes.set_aspect('equal', adjustable='box')
         canvas.draw()
@@ -80,9 +82,9 @@ def _pictures(run: RecordedRun) -> list[Image.Image]:
     return found
 
 
-def _draw(axes: Axes, run: RecordedRun, k: int, middle: Array) -> None:
+def _draw(axes: Axes, run: RecordedRun, place: Field, k: int, middle: Array) -> None:
     now = float(run.times[k])
-    draw_walls(axes, field(run)[0])
+    draw_walls(axes, place)
     draw_paths(axes, run.d[: k + 1], middle[: k + 1])
     for routes, colour in ((run.plans, RED), (run.expected, BLUE)):
         route = in_play(routes, now)
@@ -107,11 +109,11 @@ def _draw_ahead(axes: Axes, points: Array, colour: Any) -> None:
     axes.add_collection(LineCollection(lines, colors=colours, linewidths=1.2))
 
 
-def _box(run: RecordedRun) -> Array:
+def _box(run: RecordedRun, place: Field) -> Array:
     """Return the lower left and the upper right corner (2, 2) [m] of all pictures."""
     goals = [goal for _, goal in run.goals] or ([] if run.goal is None else [run.goal])
     places = [run.x.reshape(-1, 2), run.d.reshape(-1, 2), np.reshape(goals, (-1, 2))]
-    everything = np.concatenate([*places, *outlines(field(run)[0])])
+    everything = np.concatenate([*places, *outlines(place)])
     everything = everything[np.isfinite(everything).all(axis=1)]
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.05 * float((high - low).max()) or 0.5
