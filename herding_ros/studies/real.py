@@ -15,7 +15,16 @@ from herding_ros.report.statistics import Fraction, Mean, Median, significant
 from herding_ros.report.style import COLOURS, draw_goal, draw_herd, draw_paths, legend, new, save
 import numpy as np
 
-from .experiments.real import ALIGNED, FORMS, identify, MAX_SPEED, PLANTS, STRAIGHT, UNALIGNED
+from .experiments.real import (
+    ALIGNED,
+    FORMS,
+    HOME,
+    identify,
+    MAX_SPEED,
+    PLANTS,
+    STRAIGHT,
+    UNALIGNED,
+)
 from .study import NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
@@ -146,6 +155,7 @@ def draw(results: Results, figures: Path) -> Section:
     values = {
         'seeds': results.of('real_herding').seeds,
         'speed': f'{MAX_SPEED:g}',
+        'home': f'{HOME:g}',
         'cross': _table(cross),
         'cross_gain': _gains(cross),
         'held': _table(held),

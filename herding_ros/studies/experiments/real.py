@@ -65,6 +65,13 @@ PLANTS = {'as fitted': CROWDS['sheep'], 'not aligned': OTHER}
 MAX_SPEED = 4.0
 """Of the dogs that herd [m/s]."""
 
+HOME = 2.0
+"""A flock has arrived when its centre is so near to the goal [m].
+
+That is about its size. Within 3 s its centre is off any prediction by as much, so that nobody
+could steer it into less.
+"""
+
 _BEHIND = 1.0
 """Distance r_a of the rule [m]."""
 
@@ -188,7 +195,13 @@ def herding(
     told, destination = CROWDS['sheep'], np.array(goal)
     scale = Scale.of(told, MAX_SPEED)
     world = scale.apply(World()).with_values(
-        {'sheep': sheep, 'dogs': dogs, 'seed': seed, 'max_speed': MAX_SPEED}
+        {
+            'sheep': sheep,
+            'dogs': dogs,
+            'seed': seed,
+            'max_speed': MAX_SPEED,
+            'arrival.radius': HOME,
+        }
     )
     field = Simulation(PLANTS[plant], world, destination)
     if policy == 'rule':
