@@ -51,7 +51,7 @@ FORMS: dict[str, Crowd] = {
 _HELD = ('crowd.sheep.attraction_length',)
 """Errors of predictions do not tell it. Recorded flocks lose no sheep, so it is long."""
 
-_SENSOR = Sensor(position_noise=1e-3, velocity_noise=1.0)
+SENSOR = Sensor(position_noise=1e-3, velocity_noise=1.0)
 """Recorded positions are taken as they are: smoothing them made predictions worse."""
 
 OTHER = Crowd(
@@ -133,11 +133,11 @@ def predicted(
     if form == STRAIGHT:
         crowd = constant_velocity(_START.noise)
     else:
-        crowd = fit_predictions(known, FORMS[form], _SENSOR, _HELD)
-        crowd = with_noise(crowd, known, _SENSOR) if noise else crowd
+        crowd = fit_predictions(known, FORMS[form], SENSOR, _HELD)
+        crowd = with_noise(crowd, known, SENSOR) if noise else crowd
     result: dict[str, Any] = {
         'crowd': {k: v for k, v in crowd.flat().items() if isinstance(v, float)},
-        'drives': [_errors(Predictor([every[i]]).predict(crowd, _SENSOR)) for i in test],
+        'drives': [_errors(Predictor([every[i]]).predict(crowd, SENSOR)) for i in test],
     }
     if noise:
         result['sizes'] = Predictor([every[i] for i in test]).sizes(crowd)
