@@ -207,10 +207,18 @@ class Field:
         """
         from shapely import distance, linestrings, points
 
+        from .walls import gaps
+
         least = max(least, _SKIN * self.range)
+        stopped = np.zeros(len(before), dtype=np.bool_)
+        near = gaps(before, self.bars) <= 1.001 * (np.linalg.norm(after - before, axis=1) + least)
+        if not near.any():  # as nearly always; the exact answer takes longer
+            return stopped
+        before, after = before[near], after[near]
         nearest = distance(linestrings(np.stack([before, after], axis=1)), self.walls)
         was = distance(points(before), self.walls)
-        return np.asarray((nearest < least) & (nearest < was * (1.0 - _ROUNDING)))
+        stopped[near] = (nearest < least) & (nearest < was * (1.0 - _ROUNDING))
+        return stopped
 
     def turned_back(self, x: Array, v: Array) -> Array:
         """Return velocities v (n, 2) [m/s] of sheep at x (n, 2) [m] reflected at the nearest wall.

@@ -139,6 +139,17 @@ def form(bars: Array, strength: float, reach: float) -> Form:
 
 
 @kernel
+def gaps(points: Array, bars: Array) -> Array:
+    """Return how far points (n, 2) [m] are from the nearest of bars (S, 5), S >= 1 [m]."""
+    out = np.full(len(points), np.inf)
+    for i in range(len(points)):
+        for s in range(len(bars)):
+            _, _, length, _ = off(points[i, 0], points[i, 1], bars[s], out[i])
+            out[i] = min(out[i], length - bars[s, 4])
+    return out
+
+
+@kernel
 def nearness(d: Array, bars: Array, distance: float, scale: float, derivative: Array) -> float:
     """Return scale times the sum over dogs at d[1:, :2, M] and bars of max(1 - r/a, 0)^2.
 
