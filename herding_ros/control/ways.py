@@ -238,6 +238,8 @@ class Ways:
             out[m] = nearest[m] + hit / shapely.length(lines[m]) * (posts[m] - nearest[m])
             out[m] += 1e-3 * (nearest[m] - posts[m])  # on its side
         for _ in range(2):  # out of a corner
+            if self.field.gaps(out).min() >= self.clearance:
+                break
             gaps, away = self.field.away(out)
             lacking = np.maximum(self.clearance - gaps, 0.0)
             for bar in np.flatnonzero(lacking.any(axis=0)):

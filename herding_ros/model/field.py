@@ -183,6 +183,12 @@ class Field:
         length = np.linalg.norm(off, axis=2)
         return length - radius, off / np.where(length, length, 1.0)[..., None]
 
+    def gaps(self, points: Array) -> Array:
+        """Return how far points (n, 2) [m] are from the nearest bar, (n,) [m]."""
+        from .walls import gaps
+
+        return gaps(points, self.bars)
+
     def check_clear(self, state: HerdState, radius: float) -> None:
         """Raise ValueError unless no sheep is on a wall, and no dog of this radius [m]."""
         if not len(self.bars):
@@ -207,11 +213,9 @@ class Field:
         """
         from shapely import distance, linestrings, points
 
-        from .walls import gaps
-
         least = max(least, _SKIN * self.range)
         stopped = np.zeros(len(before), dtype=np.bool_)
-        near = gaps(before, self.bars) <= 1.001 * (np.linalg.norm(after - before, axis=1) + least)
+        near = self.gaps(before) <= 1.001 * (np.linalg.norm(after - before, axis=1) + least)
         if not near.any():  # as nearly always; the exact answer takes longer
             return stopped
         before, after = before[near], after[near]
