@@ -129,6 +129,11 @@ def _table(found: Fit) -> Table:
 
 def _in_words(found: Fit, judged: Sequence[Forecast]) -> list[str]:
     lines = [f'{each.name} cannot be told: {each.doubt}' for each in found.estimates if each.doubt]
+    if narrower := found.narrower():
+        intervals = ', '.join(
+            f'{each.name} {each.low:.3g} to {each.high:.3g}' for each in narrower
+        )
+        lines.append(f'with these held (--hold), if you know them: {intervals}')
     if found.held:
         lines.append(f'not fitted: {", ".join(found.held)}')
     for each in judged:
