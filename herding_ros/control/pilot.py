@@ -84,9 +84,16 @@ class Observed:
     is_velocity_seen: NDArray[np.bool_] | None = None
 
     @classmethod
-    def complete(cls, t: float, state: HerdState) -> Observed:
-        """Return an observation at t [s] of all sheep, named by their rows, and all dogs."""
-        return cls(round(t * 1e9), np.arange(len(state.x)), state, tuple(range(len(state.d))))
+    def complete(cls, t: float, state: HerdState, velocities: bool = True) -> Observed:
+        """Return an observation at t [s] of all sheep, named by their rows, and all dogs.
+
+        Without velocities of sheep these are 0, and only the positions count.
+        """
+        ids, dogs = np.arange(len(state.x)), tuple(range(len(state.d)))
+        if velocities:
+            return cls(round(t * 1e9), ids, state, dogs)
+        blind = replace(state, v=np.zeros_like(state.v))
+        return cls(round(t * 1e9), ids, blind, dogs, np.zeros(len(ids), dtype=np.bool_))
 
     @property
     def t(self) -> float:
