@@ -41,6 +41,7 @@ setup(
     install_requires=['numpy>=1.26', 'scipy>=1.11', 'numba>=0.57', 'shapely>=2.0', 'pyyaml'],
     extras_require={
         'report': ['matplotlib', 'mcap>=1.2', 'pillow', 'pyyaml', 'rich', 'rosbags>=0.10'],
+        'rerun': ['rerun-sdk>=0.41'],
         'view': ['viser>=1.1'],
         'study': ['matplotlib', 'rich', 'distributed'],
         'test': ['pytest'],

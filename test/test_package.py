@@ -80,6 +80,7 @@ def requirements(name: str) -> dict[str, str]:
         ('requirements.lock', ['requirements.txt', 'requirements-ros.txt']),
         ('requirements-cluster.lock', ['requirements-cluster.txt']),
         ('requirements-browser.lock', ['requirements-browser.txt']),
+        ('requirements-rerun.lock', ['requirements-rerun.txt']),
         ('requirements-audit.lock', ['requirements-audit.txt']),
         ('requirements-site.lock', ['requirements-site.txt']),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -114,6 +115,19 @@ class RecordedRun:
         """Return the destination (2,) [m] in force at a time [s], None if there is none."""
         begun = [goal for since, goal in self.goals if since <= time]
         return begun[-1] if begun else self.goals[0][1] if self.goals else self.goal
+
+    @cached_property
+    def headings(self) -> Array:
+        """Where each dog went when it last moved (T, M) [rad]; 0 as long as it has not.
+
+        Many dogs have no front, so that what they say of their heading means nothing.
+        """
+        steps = np.diff(self.d, axis=0, prepend=self.d[:1])
+        moved = np.isfinite(steps).all(axis=2) & steps.any(axis=2)
+        states = np.arange(len(steps))[:, None]
+        last = np.maximum.accumulate(np.where(moved, states, -1), axis=0)  # (T, M)
+        dx, dy = np.moveaxis(np.take_along_axis(steps, np.maximum(last, 0)[..., None], 0), -1, 0)
+        return np.where(last >= 0, np.arctan2(dy, dx), 0.0)
 
     @property
     def seen(self) -> NDArray[np.bool_]:

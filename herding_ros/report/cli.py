@@ -20,6 +20,7 @@ from rich.text import Text
 from .animation import save_animation
 from .figures import save_trajectories
 from .replay import save_replay
+from .rerun_recording import save_rerun
 from .summary import summarise
 
 _WIDTH_WITH_TYPES = 72
@@ -32,12 +33,13 @@ def write_report(
     console: Console,
     namespace: str | None = None,
     animation: Path | None = None,
+    rerun: Path | None = None,
 ) -> dict[str, Any]:
     """Write trajectories.png, replay.html and summary.json of a bag into the folder out.
 
-    `namespace` is needed where the bag has sheep in several; `animation`: a file to write as
-    well, see `save_animation`. Prints them and returns the summary. Raises what `read_run` and
-    `save_animation` raise, and OSError when out cannot be written.
+    `namespace` is needed where the bag has sheep in several; `animation` and `rerun`: files to
+    write as well, see `save_animation` and `save_rerun`. Prints them and returns the summary.
+    Raises what `read_run` and these raise, and OSError when out cannot be written.
     """
     run = read_run(bag, namespace)
     summary = summarise(run)
@@ -57,6 +59,9 @@ def write_report(
     if animation:
         save_animation(run, animation)
         written.append(animation)
+    if rerun:
+        save_rerun(run, rerun, folder.absolute().name)
+        written.append(rerun)
     console.print('\n'.join(map(str, written)), highlight=False, soft_wrap=True)
     return summary
 
@@ -139,10 +144,16 @@ def main(args: list[str] | None = None) -> int:
         '--animate', type=Path, metavar='FILE',
         help='write a moving picture as well: FILE.gif, or FILE.mp4 where ffmpeg is',
     )  # fmt: skip
+    parser.add_argument(
+        '--rerun', type=Path, metavar='FILE.rrd',
+        help='write a recording for the viewer Rerun as well; needs rerun-sdk',
+    )  # fmt: skip
     options = parser.parse_args(args)
     out = options.out or options.bag.absolute().parent
     try:
-        write_report(options.bag, out, Console(), options.namespace, options.animate)
+        write_report(
+            options.bag, out, Console(), options.namespace, options.animate, options.rerun
+        )
     except (OSError, ValueError) as error:
         print(f'report: {printable(str(error))}', file=sys.stderr)
         return 2

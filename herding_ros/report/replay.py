@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from herding_ros.bag.recorded_run import Array, in_play, RecordedRun
-from herding_ros.model.flock import centre, spread
+from herding_ros.model.flock import centre
 import numpy as np
 
-from .summary import arrival, distances, field, initial_spread, over_time
+from .curves import curves
+from .summary import field, over_time
 from .walls import outlines, region
 
 _PAGE = Path(__file__).with_name('replay.html')
@@ -129,30 +130,17 @@ def _plans(run: RecordedRun) -> tuple[Array, Array, Array]:
 
 
 def _curves(run: RecordedRun, states: np.ndarray) -> list[dict[str, Any]]:
-    """Return what happened over time; those that nothing is known of are left out."""
-    when, times = arrival(run)[0], run.times[states]
-    widest = when.spread * initial_spread(run)
-    planned = np.array([replan.time for replan in run.replans])
-    solve_ms, margins = (
-        np.array([getattr(replan, name) for replan in run.replans])
-        for name in ('solve_ms', 'deadline_margin_s')
-    )
-    found = (
-        ('distance to the destination [m]', times, distances(run)[states], when.radius),
-        ('spread of the flock [m]', times, over_time(spread, run)[states], widest),
-        ('solving a replan [ms]', planned, solve_ms, None),
-        ('deadline margin [s]', planned, margins, None),
-    )
+    """Return what happened over time, in some of the states."""
+    kept = ((each, states if each.of_states else slice(None)) for each in curves(run))
     return [
         {
-            'label': label,
-            't': _floats(t),
-            'v': _floats(v),
-            'limit': limit,
-            'dots': limit is None,
+            'label': curve.label,
+            't': _floats(curve.times[which]),
+            'v': _floats(curve.values[which]),
+            'limit': curve.limit,
+            'dots': not curve.of_states,
         }
-        for label, t, v, limit in found
-        if (np.isfinite(v) & (v != 0.0)).any()  # in lockstep there is no deadline
+        for curve, which in kept
     ]
 
 

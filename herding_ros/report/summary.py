@@ -10,7 +10,7 @@ from herding_ros.bag.notes import Notes
 from herding_ros.bag.recorded_run import Array, RecordedRun
 from herding_ros.model.bodies import Body, closest, touches
 from herding_ros.model.field import Field, NO_FIELD, read_field
-from herding_ros.model.flock import Arrival, arrived, distance, spread, without_strays
+from herding_ros.model.flock import Arrival, arrived, centre, distance, spread, without_strays
 import numpy as np
 
 
@@ -81,12 +81,16 @@ def over_time(observable: Callable[[Array], Array], run: RecordedRun) -> Array:
     return np.array([observable(without_strays(x[here], strays)) for x, here in seen])
 
 
+def destinations(run: RecordedRun) -> Array:
+    """Return the destination in force in each state (T, 2) [m], NaN if there is none."""
+    none = np.full(2, np.nan)
+    found = (run.goal_at(time) for time in run.times)
+    return np.array([none if goal is None else goal for goal in found])
+
+
 def distances(run: RecordedRun) -> Array:
-    """Return the distance of the flock from the destination (T,) [m], NaN if there is none."""
-    goal = run.goal
-    if goal is None:
-        return np.full(len(run.times), np.nan)
-    return over_time(lambda x: distance(x, goal), run)
+    """Return the distance of the flock from the destination in force (T,) [m], NaN without."""
+    return np.linalg.norm(over_time(centre, run) - destinations(run), axis=1)
 
 
 def initial_spread(run: RecordedRun) -> float:

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
-from herding_ros.bag.recorded_run import Array, in_play, RecordedRun
+from herding_ros.bag.recorded_run import in_play, RecordedRun
 from herding_ros.model.field import Field
-from herding_ros.model.flock import centre, spread
-from herding_ros.report.summary import distances, field, over_time
+from herding_ros.model.flock import centre
+from herding_ros.report.curves import curves
+from herding_ros.report.summary import field
 import numpy as np
 import viser
 
@@ -31,7 +30,7 @@ def frame_at(run: RecordedRun, k: int, field: Field) -> Frame:
         time=now,
         x=run.x[k][run.seen[k]],
         d=run.d[k],
-        headings=np.array([_heading(run.d[: k + 1, m]) for m in range(run.d.shape[1])]),
+        headings=run.headings[k],
         numbers=run.dogs,
         goal=run.goal_at(now),
         plans=np.zeros((0, 0, 2)) if plan is None else plan.ahead(now),
@@ -42,26 +41,10 @@ def frame_at(run: RecordedRun, k: int, field: Field) -> Frame:
     )
 
 
-def _heading(places: Array) -> float:
-    """Return where a dog that was at places (K, 2) [m] went when it last moved [rad]."""
-    for before, after in pairwise(reversed(places[-MOST_TRAIL:])):
-        dx, dy = before - after
-        if dx or dy:
-            return float(np.arctan2(dy, dx)) if np.isfinite(dx + dy) else 0.0
-    return 0.0
-
-
 def curves_of(run: RecordedRun) -> tuple[Curve, ...]:
-    """Return distance, spread, solve times and deadline margins of a run."""
-    times = run.times.tolist()
-    planned = [replan.time for replan in run.replans]
-    return (
-        Curve('distance [m]', times, distances(run).tolist()),
-        Curve('spread [m]', times, over_time(spread, run).tolist()),
-        Curve('solve time [ms]', planned, [replan.solve_ms for replan in run.replans]),
-        Curve(
-            'deadline margin [s]', planned, [replan.deadline_margin_s for replan in run.replans]
-        ),
+    """Return what is known of a run over time."""
+    return tuple(
+        Curve(each.label, each.times.tolist(), each.values.tolist()) for each in curves(run)
     )
 
 
