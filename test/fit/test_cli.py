@@ -50,7 +50,6 @@ def test_from_a_table_to_parameters(
     said = capsys.readouterr().out
     assert '10 sheep, 2 dogs, 19.9 s, 200 instants' in said
     assert 'crowd.dog.attraction cannot be told: it has hardly any effect here' in said
-    assert 'with these held (--hold), if you know them: crowd.dog.repulsion 0.0' in said
     assert 'not fitted: crowd.sheep.repulsion,' in said
     assert '1 s ahead: positions off by' in said
     assert out.with_suffix('.png').read_bytes().startswith(b'\x89PNG')
