@@ -29,7 +29,7 @@ class Spacing:
 
 for weight in (0.0, 1.0):
     costs = [Spacing(weight, distance=0.3)]
-    run = closed_loop(Crowd(), World(sheep=20), Control(), [0.5, 0.5], 100.0, costs)
+    run = closed_loop(Crowd(), World(sheep=10), Control(), [0.3, 0.3], 100.0, costs)
     one, other = np.triu_indices(5, k=1)
     closest = np.linalg.norm(run.d[:, one] - run.d[:, other], axis=-1).min()
     print(f'weight {weight:g}: {run.arrived} {run.t[-1]:.1f} s, closest {closest:.3f} m')

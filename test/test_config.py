@@ -147,7 +147,7 @@ def shown(name: str) -> set[str]:
         return {*panels['3D!herd']['topics'], *paths, summary}
     if name.endswith('.xml'):
         curves = [each.get('name', '') for each in ElementTree.fromstring(text).iter('curve')]
-        statuses = '/diagnostics/(sim: herd|controller: plan)/'
+        statuses = '/diagnostics/herding_ros/(sim: herd|controller: plan)/'
         return {
             '/diagnostics' if re.match(statuses, each) else each.partition('/pose')[0]
             for each in curves

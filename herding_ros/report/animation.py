@@ -78,6 +78,7 @@ def _pictures(run: RecordedRun) -> list[Image.Image]:
         axes.set(xlim=box[:, 0], ylim=box[:, 1])
         axes.set_aspect('equal', adjustable='box')
         canvas.draw()
+        figure.set_layout_engine('none')  # where it is now it stays
         found.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert('RGB'))
     return found
 

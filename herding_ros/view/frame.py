@@ -14,7 +14,7 @@ import numpy as np
 TRAIL = 20.0
 """Time for which one sees where dogs and flock came from [s]."""
 
-MOST_TRAIL = 200
+MOST_TRAIL = 60
 """Positions of a trail that are drawn."""
 
 _MOST_SAMPLES = 1000

@@ -6,13 +6,13 @@ viser serves it, without anything from elsewhere. All browsers see the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import redirect_stdout
 import errno
 import io
 import math
 import socket
-from typing import Any
+from typing import Any, TypeAlias
 
 from herding_ros.model.state import Array
 from herding_ros.report.walls import outlines, region
@@ -25,10 +25,18 @@ try:
 except ModuleNotFoundError as error:  # it has no rosdep key
     raise ModuleNotFoundError('the view needs viser: pip install viser') from error
 
-_BLUE, _RED, _GREY, _BLACK = (33, 102, 172), (194, 41, 43), (95, 99, 104), (0, 0, 0)
+_Colour: TypeAlias = 'tuple[int, int, int]'
+_Lines: TypeAlias = 'tuple[Array, np.ndarray]'
+"""Segments (n, 2, 2) [m] and the colours of their ends (n, 2, 3)."""
+
+_BLUE, _RED, _BLACK = (33, 102, 172), (194, 41, 43), (0, 0, 0)
+_DARK, _PALE = (60, 60, 60), (170, 170, 170)
 _LIT_RED = (255, 30, 30)
 """What looks red on a mesh, which viser's light makes paler than lines."""
 _WHITE = np.full(3, 255.0)
+
+_LINEAR = np.rint(255.0 * (np.arange(256) / 255.0) ** 2.2).astype(np.uint8)
+"""From colours to those of lines, of which viser believes that they are linear."""
 
 _FIELD_OF_VIEW = 0.5
 """Of the camera, from the bottom to the top of the picture [rad]."""
@@ -41,6 +49,11 @@ _DOG = np.array([[1.3, 0.0, 0.0], [-0.9, 0.8, 0.0], [-0.9, -0.8, 0.0]])
 
 _PORTS = 100
 """Ports that are tried."""
+
+_MOST_AHEAD = 40
+"""Points of a planned way that are drawn: without a graphics card each segment takes time."""
+
+_NO_LINES: _Lines = np.zeros((0, 2, 2)), np.zeros((0, 2, 3), np.uint8)
 
 _CROSS = np.array([[[-1.0, -1.0], [1.0, 1.0]], [[-1.0, 1.0], [1.0, -1.0]]])
 
@@ -167,6 +180,12 @@ def faded(base: tuple[int, int, int], strength: Array) -> np.ndarray:
     return (_WHITE + strength[..., None] * (np.array(base) - _WHITE)).astype(np.uint8)
 
 
+def thinned(points: Array, most: int) -> Array:
+    """Return at most so many of points (K, ...), the first and the last included."""
+    kept = np.linspace(0, len(points) - 1, min(len(points), most))
+    return points[np.rint(kept).astype(int)]
+
+
 def polylines(points: Array) -> Array:
     """Return polylines (K, M, 2) as their segments (n, 2, 2)."""
     return np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 2)
@@ -194,16 +213,17 @@ class _Scene:
         if known != self._known:  # others, who may be far away
             self._known = known
             self._begin()
-        size = self._size
         self._draw_sheep(frame)
         self._draw_dogs(frame)
-        self._draw_walls(frame)
-        self._draw_lines('trails', frame.dog_trails, _RED, 0.25, rises=True)
-        self._draw_lines('trail', frame.centre_trail[:, None], _BLUE, 0.5, rises=True)
-        self._draw_lines('plans', frame.plans, _RED, 1.0)
-        self._draw_lines('expected', frame.expected[:, None], _BLUE, 1.0)
-        cross = np.zeros((0, 2, 2)) if frame.goal is None else frame.goal + 1.5 * size * _CROSS
-        self._draw_segments('goal', cross, np.broadcast_to(np.uint8(0), (len(cross), 2, 3)), 3.0)
+        ways = (
+            _fading(frame.dog_trails, _RED, 0.25, rises=True),
+            _fading(frame.centre_trail[:, None], _BLUE, 0.5, rises=True),
+            _fading(thinned(frame.plans, _MOST_AHEAD), _RED),
+            _fading(thinned(frame.expected[:, None], _MOST_AHEAD), _BLUE),
+        )
+        below = -0.05 * self._size
+        self._draw_lines('ways', 2.0, ways, below)
+        self._draw_lines('marks', 4.0, _marks(frame, self._size), below)
 
     def _begin(self) -> None:
         """Begin a new picture, as large as the herd is now."""
@@ -233,16 +253,17 @@ class _Scene:
         low, high = self._box
         side = float((high - low).max())
         step = 10.0 ** math.floor(math.log10(side / 2.0))
-        self._scene.add_grid(
-            '/grid', 6.0 * side, 6.0 * side, cell_size=step, section_size=5.0 * step,
-            cell_color=(235, 235, 235), section_color=(215, 215, 215),
-            position=(*np.round(0.5 * (low + high) / step / 5.0) * step * 5.0, -0.1 * self._size),
-        )  # fmt: skip
+        first, last = (np.rint(each / step) for each in (low - 2.5 * side, high + 2.5 * side))
+        for name, every, grey in (('grid', 1, 235), ('sections', 5, 215)):
+            lines = _grid(first, last, every)
+            self._draw_lines(name, 1.0, [_plain(step * lines, (grey,) * 3)], -0.1 * self._size)
         # Where the lines with numbers cross, one reads how long things are.
+        middle = np.rint(0.5 * (low + high) / step / 5.0)
         for k in range(-1, 3):
-            for axis, at in (('x', (5.0 * step * k, low[1])), ('y', (low[0], 5.0 * step * k))):
+            x, y = 5.0 * step * (middle + k)
+            for axis, value, at in (('x', x, (x, low[1])), ('y', y, (low[0], y))):
                 self._scene.add_label(
-                    f'/scale/{axis}{k}', f'{axis} = {5.0 * step * k:g} m', font_screen_scale=0.7,
+                    f'/scale/{axis}{k}', f'{axis} = {value:g} m', font_screen_scale=0.7,
                     position=(*at, 0.0),
                 )  # fmt: skip
 
@@ -283,15 +304,6 @@ class _Scene:
             if label := self._handles.get(f'dog {number}'):
                 label.position = place
 
-    def _draw_walls(self, frame: Frame) -> None:
-        for name, lines, grey in (
-            ('walls', outlines(frame.field), 60),
-            ('region', (region(frame.field),), 170),
-        ):
-            segments = [polylines(line[:, None]) for line in lines if len(line)]
-            joined = np.concatenate([np.zeros((0, 2, 2)), *segments])
-            self._draw_segments(name, joined, np.full((len(joined), 2, 3), grey, np.uint8), 4.0)
-
     def _name_dogs(self, numbers: tuple[int, ...], at: Array) -> None:
         for number in self._labels:
             if label := self._handles.pop(f'dog {number}', None):
@@ -304,30 +316,64 @@ class _Scene:
                 )
 
     def _draw_lines(
-        self, name: str, points: Array, colour: tuple[int, int, int], weight: float,
-        rises: bool = False,
-    ) -> None:  # fmt: skip
-        """Draw polylines (K, M, 2) that fade towards their end, or rise to it."""
-        segments = polylines(points)
-        count = max(len(points) - 1, 0)
-        strength = np.linspace(0.0, 1.0, count + 1) if rises else np.linspace(1.0, 0.1, count + 1)
-        of_each = np.stack([strength[:-1], strength[1:]], axis=1)  # (count, 2)
-        of_all = np.repeat(of_each, points.shape[1], axis=0)
-        seen = np.isfinite(segments).all(axis=(1, 2))
-        self._draw_segments(name, segments[seen], faded(colour, weight * of_all[seen]), 2.0)
+        self, name: str, pixels: float, lines: Iterable[_Lines], height: float = 0.0
+    ) -> None:
+        """Draw lines of one width as one object: each costs time, whatever is in it.
 
-    def _draw_segments(self, name: str, segments: Array, colours: Any, pixels: float) -> None:
+        Of two that cross the later is above.
+        """
+        segments, colours = (np.concatenate(each) for each in zip(_NO_LINES, *lines, strict=True))
         if not len(segments):
             if handle := self._handles.pop(name, None):
                 handle.remove()
             return
-        points = _placed(segments.reshape(-1, 2), -0.05 * self._size).reshape(-1, 2, 3)
+        points = _placed(segments.reshape(-1, 2), height).reshape(-1, 2, 3)
+        colours = _LINEAR[colours]
         if handle := self._handles.get(name):
             handle.points, handle.colors = points, colours
         else:
             self._handles[name] = self._scene.add_line_segments(
                 f'/{name}', points, colours, thickness=pixels, thickness_units='screen'
             )
+
+
+def _fading(points: Array, colour: _Colour, weight: float = 1.0, rises: bool = False) -> _Lines:
+    """Return polylines (K, M, 2) that fade towards their end, or rise to it."""
+    segments = polylines(points)
+    count = max(len(points) - 1, 0)
+    strength = np.linspace(0.0, 1.0, count + 1) if rises else np.linspace(1.0, 0.1, count + 1)
+    of_each = np.stack([strength[:-1], strength[1:]], axis=1)  # (count, 2)
+    of_all = np.repeat(of_each, points.shape[1], axis=0)
+    seen = np.isfinite(segments).all(axis=(1, 2))
+    return segments[seen], faded(colour, weight * of_all[seen])
+
+
+def _marks(frame: Frame, size: float) -> Iterator[_Lines]:
+    """Yield the walls, the region that has to hold the flock, and the cross of the destination."""
+    for line in outlines(frame.field):
+        yield _plain(polylines(line[:, None]), _DARK)
+    corners = region(frame.field)
+    if len(corners):
+        yield _plain(polylines(corners[:, None]), _PALE)
+    if frame.goal is not None:
+        yield _plain(frame.goal + 1.5 * size * _CROSS, _BLACK)
+
+
+def _grid(first: Array, last: Array, every: int) -> Array:
+    """Return the lines (n, 2, 2) of a grid through multiples of `every`, between two corners."""
+    segments = []
+    for across, along in ((0, 1), (1, 0)):
+        at = every * np.arange(np.ceil(first[across] / every), last[across] / every)
+        lines = np.empty((len(at), 2, 2))
+        lines[:, :, across] = at[:, None]
+        lines[:, :, along] = first[along], last[along]
+        segments.append(lines)
+    return np.concatenate(segments)
+
+
+def _plain(segments: Array, colour: _Colour) -> _Lines:
+    """Return segments (n, 2, 2) [m] of one colour."""
+    return segments, np.full((len(segments), 2, 3), colour, np.uint8)
 
 
 def _placed(places: Array, height: float = 0.0) -> np.ndarray:

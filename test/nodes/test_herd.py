@@ -11,6 +11,7 @@ import re
 import signal
 import time
 from typing import Any
+from xml.etree import ElementTree
 
 from herding_ros.control.closed_loop import as_policy, closed_loop, play
 from herding_ros.control.excitation import ExcitingPilot
@@ -40,6 +41,7 @@ NEXT = (
     ('open in a browser:', 'replay.html'),
     ('draw again: report', 'bag'),
 )
+LAYOUT = Path(__file__).resolve().parents[2] / 'config' / 'plotjuggler.xml'
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
 LARGE = 1600
 EXCITED = 25.0
@@ -84,6 +86,12 @@ def positions(cloud: Any) -> np.ndarray:
     return np.concatenate([column.view('<f4') for column in columns], axis=1)
 
 
+def plotted() -> set[str]:
+    """The names by which the layout for PlotJuggler asks for numbers of statuses."""
+    curves = ElementTree.parse(LAYOUT).iter('curve')
+    return {name for each in curves if (name := each.get('name', '')).startswith('/diagnostics/')}
+
+
 def published(log: Path) -> dict[str, int]:
     """What a node said it had published."""
     return {topic: int(n) for n, topic in re.findall(r'(\d+) on (/[\w/]+)', log.read_text())}
@@ -120,6 +128,13 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
         assert '/diagnostics' in counts
         del counts['/diagnostics']  # is shared by the nodes
         assert counts == {topic: len(messages[topic]) for topic in counts}
+
+    statuses = [status for message in messages['/diagnostics'] for status in message.status]
+    assert plotted() <= {  # PlotJuggler puts the hardware in front
+        f'/diagnostics/{status.hardware_id}/{status.name}/{value.key}'
+        for status in statuses
+        for value in status.values
+    }
 
     summary = json.loads((out / 'summary.json').read_text())
     assert summary['arrived'] is True

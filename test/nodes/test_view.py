@@ -180,26 +180,26 @@ def test_recorded_run_is_played(
     browser: Any, start: Callable[..., Any], tmp_path: Path, run_recorder: Any, wait_until: Any
 ) -> None:
     with run_recorder(tmp_path / 'bag') as recorder:
-        for k in range(200):
-            ns, along = k * 10**9, 0.005 * k
+        for k in range(100):
+            ns, along = k * 10**9, 0.02 * k
             sheep = [(along + 0.1 * i, 0.1 * j) for i in range(4) for j in range(4)]
             recorder.sheep('/truth/sheep', ns, sheep, np.zeros((16, 2)))
             recorder.odometry('/truth/dog_1/odom', ns, (along - 0.3, 0.0))
             recorder.log_ns += 10**9
             recorder.publish_ns += 10**9
-        recorder.goal(0, (1.5, 0.0), '/herd/goal')
+        recorder.goal(0, (2.5, 0.0), '/herd/goal')
     process = start('view', str(tmp_path / 'bag'), browser=False)
     process.wait_for('the page is at')
     (url,) = re.findall(r'http://\S+', process.log)
     browser.get(url)
 
     def second() -> float:
-        found = re.search(r't ([\d.]+) of 199\.0 s', browser.find_element('tag name', 'body').text)
+        found = re.search(r't ([\d.]+) of 99\.0 s', browser.find_element('tag name', 'body').text)
         return float(found[1]) if found else -1.0
 
     wait_until(lambda: second() > 0.0 and len(pixels(browser, BLUE)) > 100)
     first = second(), pixels(browser, BLUE)[:, 0].mean()
-    wait_until(lambda: second() > first[0] + 30.0)
+    wait_until(lambda: second() > first[0] + 8.0)
     assert pixels(browser, BLUE)[:, 0].mean() > first[1] + 10.0
     browser.get('about:blank')
     process.ends_in_time(signal.SIGINT)

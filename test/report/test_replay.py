@@ -9,6 +9,7 @@ from dataclasses import replace
 import io
 from pathlib import Path
 import re
+import sys
 import time
 from typing import Any
 
@@ -157,3 +158,33 @@ def test_animation_shows_the_run_from_its_start_to_its_end(tmp_path: Path) -> No
     assert blue[1] > blue[0] + 50.0
     with pytest.raises(ValueError, match=r'must end in \.gif or \.mp4, got run\.avi'):
         save_animation(a_run(), tmp_path / 'run.avi')
+
+
+def a_program(folder: Path, name: str, lines: str) -> None:
+    program = folder / name
+    program.write_text(f'#!{sys.executable}\n{lines}')
+    program.chmod(0o755)
+
+
+def test_film_is_what_ffmpeg_makes_of_whole_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    film = tmp_path / 'run.mp4'
+    with pytest.MonkeyPatch.context() as without:
+        without.setenv('PATH', str(tmp_path))
+        with pytest.raises(ValueError, match='needs ffmpeg, which is not installed'):
+            save_animation(a_run(states=4), film)
+    program = """
+import re, sys
+words, sent = ' '.join(sys.argv), sys.stdin.buffer.read()
+width, height = map(int, re.search(r'-s (\\d+)x(\\d+)', words).groups())
+assert 'rawvideo -pix_fmt rgb24' in words and width % 2 == height % 2 == 0
+open(sys.argv[-1], 'w').write(f'{len(sent) / (3 * width * height)}')
+"""
+    a_program(tmp_path, 'ffmpeg', program)
+    monkeypatch.setenv('PATH', f'{tmp_path}')
+    save_animation(a_run(states=4), film)
+    assert film.read_text() == '4.0'
+    a_program(tmp_path, 'ffmpeg', "import sys; sys.exit('the disk is full')")
+    with pytest.raises(OSError, match=r'could not write .*run\.mp4: the disk is full'):
+        save_animation(a_run(states=4), film)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from herding_ros.bag.recorded_run import in_play, Route
-from herding_ros.view.frame import Curve, TRAIL, Trails
+from herding_ros.view.frame import Curve, MOST_TRAIL, TRAIL, Trails
 import numpy as np
 
 
@@ -31,7 +31,10 @@ def test_trails_are_as_long_as_said_and_forgotten_with_the_herd() -> None:
     for k in range(1000):
         trails.add(0.1 * k, np.array([[0.1 * k, 0.0], [0.1 * k, 2.0]]), np.zeros((3, 2)))
     assert trails.dogs.shape == (len(trails.centre), 3, 2)
-    assert np.allclose(trails.centre[[0, -1]], [[99.9 - TRAIL, 1.0], [99.9, 1.0]], atol=0.11)
+    assert np.allclose(
+        trails.centre[[0, -1]], [[99.9 - TRAIL, 1.0], [99.9, 1.0]], atol=TRAIL / MOST_TRAIL
+    )
+    assert MOST_TRAIL / 2 < len(trails.dogs) <= MOST_TRAIL + 1
     trails.add(0.0, np.zeros((2, 2)), np.zeros((3, 2)))  # a reset
     assert len(trails.dogs) == 1
     trails.add(1.0, np.zeros((2, 2)), np.zeros((4, 2)))  # another dog

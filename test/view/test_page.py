@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import socket
 
-from herding_ros.view.page import _free_port, faded, on_the_ground, polylines
+from herding_ros.view.page import _free_port, _grid, faded, on_the_ground, polylines, thinned
 import numpy as np
 import pytest
 
@@ -32,3 +32,22 @@ def test_port_in_use_is_passed_over_and_a_foreign_address_refused() -> None:
         assert port < _free_port('127.0.0.1', port) <= port + 99
     with pytest.raises(ValueError, match=r'address of this machine.*got 192\.0\.2\.1'):
         _free_port('192.0.2.1', 8080)
+
+
+def test_planned_way_is_drawn_by_few_points_from_its_start_to_its_end() -> None:
+    way = np.stack([np.arange(1000.0), np.zeros(1000)], axis=1)[:, None]
+    few = thinned(way, 40)
+    assert few.shape == (40, 1, 2)
+    assert np.array_equal(few[[0, -1]], way[[0, -1]])
+    assert np.ptp(np.diff(few[:, 0, 0])) <= 1.0
+    assert np.array_equal(thinned(way[:3], 40), way[:3])
+    assert thinned(way[:0], 40).shape == (0, 1, 2)
+
+
+def test_grid_has_a_line_through_each_multiple_and_no_other() -> None:
+    lines = _grid(np.array([-7.0, 3.0]), np.array([6.0, 11.0]), 5)
+    across = sorted(x for (x, _), (other, _) in lines if x == other)
+    along = sorted(y for (_, y), (_, other) in lines if y == other)
+    assert across == [-5.0, 0.0, 5.0]
+    assert along == [5.0, 10.0]
+    assert {(y, other) for (x, y), (there, other) in lines if x == there} == {(3.0, 11.0)}
