@@ -13,13 +13,16 @@ import sys
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from herding_ros.control.background import run_in_thread
 from herding_ros.control.excitation import ExcitingPilot
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import OutOfStepError
+from herding_ros.control.parameters import Control, OutOfStepError
 from herding_ros.control.pilot import Announcement, Decision, dog_name
 from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import Status
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.field import Field, field_of
 from herding_ros.model.motion import steered_ahead
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
@@ -33,6 +36,7 @@ from . import command_line, messages
 from .duplicates import sole_publisher
 from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
+from .maps import MAP, Maps
 from .mismatches import Mismatches, twist_type
 from .observations import Observations
 from .parameters import declare, declare_control, declare_crowd, in_field
@@ -70,7 +74,7 @@ class Controller(HerdingNode):
         self._settings = settings = declare(self, ControllerSettings())
         crowd, goal = in_field(declare_crowd(self), settings)
         control = declare_control(self, crowd)
-        self._control = control
+        self._crowd, self._control = crowd, control
         self._control_period = control.horizon.control_period
         self._decided = 0  # time of the last decision [ns]
         planner = RecedingHorizon(crowd, control, goal, settings.seed)
@@ -83,7 +87,14 @@ class Controller(HerdingNode):
         self.load_kernels(partial(warm_up, crowd, control.motion))
         self._mismatches = Mismatches(self)
         self._create_publishers()
-        self.follow([('crowd.', crowd), ('', control)], self._pilot.adjust)
+        self.follow([('crowd.', crowd), ('', control)], self._adjust)
+        self._field = field_of(crowd)
+        self._maps = Maps(
+            self, settings.frame, self._field, self._take_field, self._prepare, self._refused,
+            None if settings.lockstep else run_in_thread,
+        )  # fmt: skip
+        if settings.needs_map:
+            self.get_logger().info(f'waiting for a map on {self.resolve_topic_name(MAP)}')
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._waiting = self.create_timer(0.02, self._subscribe_when_heard, clock=self._wall)
 
@@ -121,6 +132,8 @@ class Controller(HerdingNode):
     def _subscribe_when_heard(self) -> None:
         """Subscribe to observations only once the subscribers of the replies are matched."""
         settings = self._settings
+        if settings.needs_map and not self._maps.has_map:
+            return
         recorder = full_node_name(self, settings.wait_for)
         if settings.lockstep and not all(
             any(
@@ -180,6 +193,21 @@ class Controller(HerdingNode):
         if self._pilot.move_goal(goal):
             self._publish_goal(goal)
             self.get_logger().info(f'the destination is now ({goal[0]:g}, {goal[1]:g})')
+
+    def _adjust(self, crowd: Crowd, control: Control) -> None:
+        """Plan with these values, in the field that there is now."""
+        walls = self._field is not field_of(crowd)
+        self._pilot.adjust(self._field.around(crowd) if walls else crowd, control)
+
+    def _prepare(self, field: Field) -> None:
+        """Load the kernels for walls, if these are the first."""
+        if len(field.bars) and not len(self._field.bars):
+            crowd = field.around(self._crowd)
+            self.load_kernels(partial(warm_up, crowd, self._control.motion))
+
+    def _take_field(self, field: Field) -> None:
+        self._field = field
+        self.take_again()
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -260,6 +288,7 @@ class Controller(HerdingNode):
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
             'commands_changed': pilot.commands_changed,
+            'walls': len(self._field.bars),
             **pilot.estimate_values(),
             **self._refused.report_values(),
             **mismatched,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import array
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 import math
 import struct
@@ -18,6 +18,9 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
     Point,
+    Point32,
+    Polygon,
+    PolygonStamped,
     Pose,
     PoseStamped,
     PoseWithCovariance,
@@ -36,7 +39,7 @@ from herding_ros.nodes.wire import serialized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -56,7 +59,12 @@ READERS: dict[str, Callable[[bytes], Any]] = {
     'command': lambda data: messages.command_in(data, 1, 'map', SPEED),
     'twist': lambda data: messages.twist_in(data, SPEED),
     'goal': lambda data: messages.goal_in(data, 'map'),
+    'grid': lambda data: messages.grid_in(data, 'map'),
+    'outline': lambda data: messages.outline_in(data, 'map'),
 }
+
+CELLS = (0, -1, 100, 65, 64, 1)
+"""Of a map: free, unknown, occupied, just occupied, not quite, free."""
 
 coordinates = st.floats(-1e3, 1e3, width=32)
 points = st.integers(1, 40).flatmap(lambda n: arrays(np.float64, (n, 2), elements=coordinates))
@@ -544,6 +552,68 @@ def command_with(part: str = 'linear', **changes: float) -> bytes:
     return serialize_message(TwistStamped(header=Header(frame_id='map'), twist=twist))
 
 
+def grid_with(
+    frame: str = 'map', resolution: float = 0.5, cells: Sequence[int] = CELLS, width: int = 3,
+    height: int = 2, **origin: float,
+) -> bytes:  # fmt: skip
+    info = MapMetaData(resolution=resolution, width=width, height=height)
+    info.origin = pose_with(**origin)
+    return serialize_message(
+        OccupancyGrid(header=Header(frame_id=frame), info=info, data=array.array('b', cells))
+    )
+
+
+def outline_with(*corners: tuple[float, float], frame: str = 'map') -> bytes:
+    polygon = Polygon(points=[Point32(x=x, y=y, z=math.nan) for x, y in corners])
+    return serialize_message(PolygonStamped(header=Header(frame_id=frame), polygon=polygon))
+
+
+def test_a_map_comes_out_as_it_went_in() -> None:
+    """Its first row is that at the origin, as map_server has it."""
+    half = math.sqrt(0.5)
+    for big in (False, True):
+        data = in_either_order(grid_with(px=1.0, py=-2.0, z=half, w=half), OccupancyGrid, big)
+        grid = messages.grid_in(data, 'map')
+        assert grid.occupied.tolist() == [[False, False, True], [True, False, False]]
+        assert (grid.resolution, grid.x, grid.y) == (0.5, 1.0, -2.0)
+        assert grid.yaw == pytest.approx(math.pi / 2)
+
+
+def test_an_obstacle_comes_out_as_it_went_in() -> None:
+    """What its heights are does not count."""
+    corners = ((0.0, -1.5), (1.0, 0.25), (0.5, 2.0))
+    for big in (False, True):
+        data = in_either_order(outline_with(*corners), PolygonStamped, big)
+        assert messages.outline_in(data, 'map') == corners
+    assert messages.outline_in(outline_with(), 'map') == ()
+
+
+def test_maps_and_obstacles_that_are_none_are_refused() -> None:
+    far = [(0.0, 0.0), (1.0, 0.0), (2e6, 2.0)]
+    bad = [
+        ('grid', grid_with('odom'), 'wrong frame'),
+        ('grid', grid_with(cells=CELLS[:5]), 'malformed'),
+        ('grid', grid_with(cells=(*CELLS, 0)), 'malformed'),
+        ('grid', grid_with(cells=[], width=0), 'empty'),
+        ('grid', grid_with(cells=[], height=0), 'empty'),
+        ('grid', grid_with(cells=[], width=2**32 - 1, height=2**32 - 1), 'too large'),
+        *(('grid', grid_with(cells=(*CELLS[:5], cell)), 'not allowed') for cell in (-2, 101)),
+        *(('grid', grid_with(resolution=r), 'not allowed') for r in (0.0, -0.05, 1e-9, 1e4)),
+        *(('grid', grid_with(resolution=r), kind) for r, kind in BAD),
+        *(('grid', grid_with(**{at: bad}), kind) for bad, kind in BAD
+          for at in ('px', 'py', 'x', 'w')),
+        ('grid', grid_with(px=1e9), 'too large'),
+        ('grid', grid_with(w=0.0), 'not a rotation'),
+        ('grid', grid_with(x=math.sin(0.2), w=math.cos(0.2)), 'not a rotation'),
+        ('outline', outline_with((0.0, 0.0), frame='odom'), 'wrong frame'),
+        ('outline', outline_with(*[(0.0, 0.0)] * 101), 'too large'),
+        ('outline', outline_with(*far), 'too large'),
+        *(('outline', outline_with((0.0, bad)), kind) for bad, kind in BAD),
+    ]  # fmt: skip
+    for what, data, kind in bad:
+        assert refusal(what, data) == kind, (what, data)
+
+
 BAD = [(math.nan, 'not finite'), (math.inf, 'not finite'), (-math.inf, 'not finite')]
 
 
@@ -576,6 +646,8 @@ VALID = {
     'command': (command_with(x=0.01), TwistStamped),
     'twist': (serialize_message(twist_with(x=0.01)), Twist),
     'goal': (goal_with(px=1.0), PoseStamped),
+    'grid': (grid_with(), OccupancyGrid),
+    'outline': (outline_with((0.0, 0.0), (1.0, 0.0), (0.5, 2.0)), PolygonStamped),
 }
 
 
@@ -592,6 +664,11 @@ def read_or_refused(what: str, data: bytes) -> None:
         values = [*read.x.ravel(), *read.v.ravel()]
     elif what == 'odometry':
         values = [*read[1], read[2]]
+    elif what == 'grid':
+        assert 1 <= read.occupied.size <= len(data)
+        values = [read.x, read.y, read.yaw, read.resolution]
+    elif what == 'outline':
+        values = [number for corner in read for number in corner]
     else:
         values = list(read[1] if what == 'command' else read)
     assert all(abs(value) <= 1e8 for value in values)

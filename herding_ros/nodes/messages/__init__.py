@@ -4,7 +4,16 @@
 from herding_ros.checks import check_frame, check_stamp
 
 from .diagnostics import diagnostics
-from .received import command_in, dog_in, goal_in, Sheep, sheep_in, twist_in
+from .received import (
+    command_in,
+    dog_in,
+    goal_in,
+    grid_in,
+    outline_in,
+    Sheep,
+    sheep_in,
+    twist_in,
+)
 from .sent import cloud, command, odometry, trajectory, twist
 from .stamps import dog_frame, nanoseconds, stamp_of, turned
 from .visualisation import marker_array, path, pose
@@ -20,9 +29,11 @@ __all__ = [
     'dog_frame',
     'dog_in',
     'goal_in',
+    'grid_in',
     'marker_array',
     'nanoseconds',
     'odometry',
+    'outline_in',
     'path',
     'pose',
     'sheep_in',

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from herding_ros.checks import check_finite, check_frame, check_goal, check_size, Refused
 from herding_ros.model.state import Array
+from herding_ros.nodes.occupancy import Grid
 from herding_ros.nodes.wire import Reader
 from herding_ros.point_cloud import points
 import numpy as np
@@ -33,6 +34,21 @@ _COLUMNS = ('x', 'y', 'vx', 'vy')
 
 _LARGEST_SINGLE = 1e6
 """Single precision resolves 6 cm there [m]: farther out it would not see a sheep move."""
+
+_UPRIGHT = 0.999
+"""Least cosine of the angle by which a map is tilted."""
+
+_MOST_CELLS = 10_000_000
+"""Cells of a map; 500 m x 500 m in cells of 0.16 m."""
+
+_FINEST, _COARSEST = 1e-3, 1e3
+"""Sides of cells of a map [m]: others are mistakes in the unit."""
+
+_OCCUPIED = 65
+"""Least per cent at which a cell of a map is occupied, as in map_server."""
+
+_LONGEST_OUTLINE = 100
+"""Corners of an obstacle."""
 
 _MOST_FIELDS = 64
 """Fields of a point cloud: each takes room and time, before the points are looked at."""
@@ -161,8 +177,7 @@ def _point_cloud_in(reader: Reader, most: int) -> _PointCloud:
     is_bigendian, point_step, row_step = reader.numbers('?xxxII')
     points_data = reader.sequence()
     is_dense = reader.flag()
-    if reader.left > 3:  # a message may be filled up to a multiple of four
-        raise Refused('malformed', f'at most 3 bytes must follow is_dense, got {reader.left}')
+    _check_end(reader, 'is_dense')
     return _PointCloud(
         height, width, fields, is_bigendian, point_step, row_step, points_data, is_dense
     )
@@ -179,17 +194,22 @@ def dog_in(data: bytes, frame: str) -> tuple[int, Array, float, Array]:
     check_frame('odometry', given, frame)
     reader.string()  # the child frame
     numbers = reader.doubles(_ODOMETRY_NUMBERS, _TO_VELOCITY)
-    d_x, d_y, _, x, y, z, w = numbers[:7]
-    check_size('dog position and orientation', d_x, d_y, x, y, z, w)
+    d_x, d_y, _, *rotation = numbers[:7]
+    check_size('dog position and orientation', d_x, d_y, *rotation)
+    heading = _yaw(*rotation)
+    velocity = turned(np.array(numbers[-2:]), -heading)
+    return ns, np.array([d_x, d_y]), heading, np.array(velocity)
+
+
+def _yaw(x: float, y: float, z: float, w: float) -> float:
+    """Return the angle about the vertical [rad] of a quaternion."""
     if not abs(x * x + y * y + z * z + w * w - 1.0) <= _ROUNDING:
         raise Refused(
             'not a rotation',
             f'the orientation must have length 1, got ({x:g}, {y:g}, {z:g}, {w:g})',
         )
     # Does not depend on the length, so that nothing has to be normalised.
-    heading = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    velocity = turned(np.array(numbers[-2:]), -heading)
-    return ns, np.array([d_x, d_y]), heading, np.array(velocity)
+    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
 def command_in(
@@ -236,3 +256,76 @@ def goal_in(data: bytes, frame: str) -> Array:
     x, y = reader.doubles(7, 2)
     check_goal(given, x, y, frame)
     return np.array([x, y])
+
+
+def grid_in(data: bytes, frame: str) -> Grid:
+    """Map in an OccupancyGrid; cells of 65 per cent and more are occupied.
+
+    Unknown cells (-1) are free: a map of a field seldom knows what is behind a fence.
+    """
+    reader = Reader(data)
+    _, given = reader.header()
+    check_frame('map', given, frame)
+    _, _, resolution, width, height = reader.numbers('iIfII')
+    x, y, _, *rotation = reader.some_doubles(7)
+    cells = np.frombuffer(reader.sequence(), np.int8)
+    _check_end(reader, 'data')
+    if not width * height:
+        raise Refused('empty', f'a map must have cells, got {width} x {height}')
+    if width * height > _MOST_CELLS:
+        raise Refused(
+            'too large',
+            f'a map must have at most {_MOST_CELLS} cells, got {width} x {height}; make it '
+            'coarser',
+        )
+    if len(cells) != width * height:
+        raise Refused(
+            'malformed',
+            f'a map must have as many cells as width x height, {width} x {height}, '
+            f'got {len(cells)}',
+        )
+    check_size('size and place of a map', resolution * max(width, height), x, y, *rotation)
+    if not _FINEST <= resolution <= _COARSEST:
+        raise Refused(
+            'not allowed',
+            f'cells of a map must be {_FINEST:g} to {_COARSEST:g} m wide, got {resolution:g} m',
+        )
+    least, most = int(cells.min()), int(cells.max())
+    if least < -1 or most > 100:
+        raise Refused(
+            'not allowed', f'cells of a map must be from -1 to 100, got {least} to {most}'
+        )
+    yaw, upright = _yaw(*rotation), 1.0 - 2.0 * (rotation[0] ** 2 + rotation[1] ** 2)
+    if upright < _UPRIGHT:
+        raise Refused('not a rotation', f'a map must lie flat, got the orientation {rotation}')
+    return Grid(cells.reshape(height, width) >= _OCCUPIED, resolution, x, y, yaw)
+
+
+def outline_in(data: bytes, frame: str) -> tuple[tuple[float, float], ...]:
+    """Corners [m] of the obstacle in a PolygonStamped; none if there are none."""
+    reader = Reader(data)
+    _, given = reader.header()
+    check_frame('obstacle', given, frame)
+    (count,) = reader.numbers('I')
+    if count > _LONGEST_OUTLINE:
+        raise Refused(
+            'too large', f'an obstacle must have at most {_LONGEST_OUTLINE} corners, got {count}'
+        )
+    numbers = reader.numbers(f'{3 * count}f') if count else ()
+    _check_end(reader, 'the points')
+    corners = tuple(zip(numbers[::3], numbers[1::3], strict=True))
+    check_size('corners of an obstacle', *numbers[::3], *numbers[1::3])
+    size = max(map(abs, (*numbers[::3], *numbers[1::3])), default=0.0)
+    if size > _LARGEST_SINGLE:
+        raise Refused(
+            'too large',
+            f'corners of an obstacle must be at most {_LARGEST_SINGLE:g} m, got {size:g}: they '
+            'come in single precision',
+        )
+    return corners
+
+
+def _check_end(reader: Reader, last: str) -> None:
+    """Refuse what does not end; a message may be filled up to a multiple of four bytes."""
+    if reader.left > 3:
+        raise Refused('malformed', f'at most 3 bytes must follow {last}, got {reader.left}')
