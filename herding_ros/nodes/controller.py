@@ -31,8 +31,10 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from . import command_line, messages
+from .drawing import Draughtsman
 from .duplicates import sole_publisher
 from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
@@ -85,6 +87,7 @@ class Controller(HerdingNode):
         else:
             self._pilot = RealTimePilot(planner, settings.dogs, settings, self._seconds)
         self.load_kernels(partial(warm_up, crowd, control.motion))
+        self._draughtsman = Draughtsman()
         self._mismatches = Mismatches(self)
         self._create_publishers()
         self.follow([('crowd.', crowd), ('', control)], self._adjust)
@@ -118,6 +121,7 @@ class Controller(HerdingNode):
         ]
         self._herd_path = publish(Path, 'herd/path')
         self._dog_paths = [publish(Path, f'{name}/path') for name in names]
+        self._markers = publish(MarkerArray, 'herd/markers')
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
 
     def _type_of_commands(self, name: str) -> type[Twist] | type[TwistStamped]:
@@ -145,7 +149,7 @@ class Controller(HerdingNode):
         ):
             return
         everything = [*self._commands, self._plan, self._herd_path, *self._dog_paths]
-        everything += [self._goal, self._diagnostics]
+        everything += [self._goal, self._markers, self._diagnostics]
         if settings.wait_for and not is_heard(self, everything, settings.wait_for):
             return
         self.destroy_timer(self._waiting)
@@ -196,6 +200,7 @@ class Controller(HerdingNode):
 
     def _adjust(self, crowd: Crowd, control: Control) -> None:
         """Plan with these values, in the field that there is now."""
+        self._control = control
         walls = self._field is not field_of(crowd)
         self._pilot.adjust(self._field.around(crowd) if walls else crowd, control)
 
@@ -225,6 +230,11 @@ class Controller(HerdingNode):
         if decision.announcement is not None:
             self._publish_plan(decision.announcement)
             self._publish_report(decision.announcement, ns)
+        drawn = self._draughtsman.follow(
+            decision, self._pilot.estimate, self._field, self._control
+        )
+        if drawn is not None:
+            self._markers.publish(messages.drawing(drawn, ns, self._settings.frame))
         for event in decision.events:
             _LOG[event.level](self.get_logger(), event.text)
 

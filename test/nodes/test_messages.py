@@ -34,6 +34,7 @@ from herding_ros.control.plan import Plan
 from herding_ros.model.field import Field
 from herding_ros.nodes import messages
 from herding_ros.nodes import refusals as refusals_module
+from herding_ros.nodes.drawing import Drawing
 from herding_ros.nodes.refusals import Refusals
 from herding_ros.nodes.wire import serialized
 from hypothesis import given, settings
@@ -48,6 +49,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import Marker, MarkerArray
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MOST = 1000
@@ -906,6 +908,37 @@ def test_markers_show_sheep_dogs_and_goal() -> None:
     assert np.allclose(cross.mean(axis=0), (7.0, 8.0))
     assert np.allclose(np.abs(cross - (7.0, 8.0)), 0.5)
     assert 'walls' not in shown
+
+
+def test_markers_show_what_the_controller_has_decided() -> None:
+    changes = np.array(
+        [[[1.0, 1.0], [1.2, 1.0], [1.1, 1.1]], [[3.0, 1.0], [3.2, 1.0], [3.0, 1.0]]]
+    )
+    d = np.array([[1.0, 1.0], [3.0, 1.0]])
+    walls, route = np.arange(8.0).reshape(2, 2, 2), np.arange(6.0).reshape(3, 2)
+    shown = messages.drawing(Drawing(walls, route, d, 0.1, changes, 0.01), 7, 'field').markers
+    assert shown[0].action == Marker.DELETEALL
+    assert {m.header.frame_id for m in shown} == {'field'}
+    assert {messages.nanoseconds(m.header.stamp) for m in shown} == {7}
+    places = {(m.ns, m.id): np.array([(p.x, p.y) for p in m.points]) for m in shown if m.points}
+    assert np.array_equal(places['walls', 0], walls.reshape(-1, 2))
+    assert np.array_equal(places['route', 0], route)
+    assert np.array_equal(places['separation', 0], d)
+    assert np.array_equal(places['asked', 0], changes[:, :2].reshape(-1, 2))
+    assert np.array_equal(places['told', 0], changes[0, 1:])
+    assert np.array_equal(places['told', 1], changes[1, 1:])
+    assert len(places) == len(shown) - 1 == 6
+    (disc,) = [m for m in shown if m.ns == 'separation']
+    assert disc.scale.x == disc.scale.y == 0.1  # two that touch are so far apart
+    data = serialized(messages.drawing(Drawing(walls, route, d, 0.1, changes, 0.01), 7, 'a'))
+    assert data == as_rosbags_writes_it(data, MarkerArray)
+
+
+def test_nothing_is_drawn_of_what_is_not_there() -> None:
+    none = np.zeros((0, 2))
+    d = np.zeros((2, 2))
+    drawn = Drawing(none.reshape(0, 2, 2), none, d, 0.0, none.reshape(0, 3, 2), 0.01)
+    assert [m.action for m in messages.drawing(drawn, 7, 'map').markers] == [Marker.DELETEALL]
 
 
 def test_markers_show_walls() -> None:

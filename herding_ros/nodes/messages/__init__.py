@@ -16,7 +16,7 @@ from .received import (
 )
 from .sent import cloud, command, odometry, trajectory, twist
 from .stamps import dog_frame, nanoseconds, stamp_of, turned
-from .visualisation import marker_array, path, pose
+from .visualisation import drawing, marker_array, path, pose
 
 __all__ = [
     'Sheep',
@@ -28,6 +28,7 @@ __all__ = [
     'diagnostics',
     'dog_frame',
     'dog_in',
+    'drawing',
     'goal_in',
     'grid_in',
     'marker_array',
