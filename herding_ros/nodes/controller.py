@@ -92,9 +92,10 @@ class Controller(HerdingNode):
         self._create_publishers()
         self.follow([('crowd.', crowd), ('', control)], self._adjust)
         self._field = field_of(crowd)
+        self._frames = messages.Frames.of(self, settings.frame)
         self._maps = Maps(
-            self, settings.frame, self._field, self._take_field, self._prepare, self._refused,
-            None if settings.lockstep else run_in_thread,
+            self, settings.frame, self._frames, self._field, self._take_field, self._prepare,
+            self._refused, None if settings.lockstep else run_in_thread,
         )  # fmt: skip
         if settings.needs_map:
             self.get_logger().info(f'waiting for a map on {self.resolve_topic_name(MAP)}')
@@ -155,7 +156,7 @@ class Controller(HerdingNode):
         self.destroy_timer(self._waiting)
         self._observations = Observations(
             self, settings.dogs, settings.frame, settings.most_sheep, settings.state_timeout,
-            self._control, self._refused,
+            self._control, self._refused, self._frames,
         )  # fmt: skip
         if not settings.lockstep:
             self._mismatches.follow(self._observations.inboxes)
@@ -190,7 +191,7 @@ class Controller(HerdingNode):
 
     def _on_goal(self, data: bytes) -> None:
         try:
-            goal = messages.goal_in(data, self._settings.frame)
+            goal = messages.goal_in(data, self._settings.frame, self._frames)
         except ValueError as error:
             self._refused.add_request('goal_pose', error)
             return

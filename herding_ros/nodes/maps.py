@@ -12,8 +12,10 @@ from herding_ros.checks import Refused
 from herding_ros.control.background import Run
 from herding_ros.model.field import Field, Point
 from nav_msgs.msg import OccupancyGrid
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.timer import Timer
 import shapely
 
 from . import messages
@@ -27,6 +29,9 @@ _LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 _MOST_WAITING = 100
 """Obstacles that wait to be taken in."""
+
+_RETRY_PERIOD = 1.0
+"""Wall time after which it is looked again for a transform [s]."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,7 @@ class Maps:
         self,
         node: Node,
         frame: str,
+        frames: messages.Frames | None,
         field: Field,
         take: Callable[[Field], None],
         prepare: Callable[[Field], None],
@@ -68,7 +74,7 @@ class Maps:
         """
         self.has_map = False
         self._node = node
-        self._frame = frame
+        self._frame, self._frames = frame, frames
         self._field = field
         self._take = take
         self._prepare = prepare
@@ -76,32 +82,58 @@ class Maps:
         self._run = run
         self._seen = _Seen()
         self._waiting: list[tuple[str, _Change]] = []
+        self._without_transform: list[tuple[str, bytes]] = []
+        self._said: set[str] = set()
+        self._again: Timer | None = None
         self._busy = False
-        node.create_subscription(OccupancyGrid, MAP, self._on_map, _LATCHED, raw=True)
-        node.create_subscription(PolygonStamped, OBSTACLE, self._on_obstacle, _LATCHED, raw=True)
+        for kind, topic in ((OccupancyGrid, MAP), (PolygonStamped, OBSTACLE)):
+            receive = partial(self._receive, topic)
+            node.create_subscription(kind, topic, receive, _LATCHED, raw=True)
 
-    def _on_map(self, data: bytes) -> None:
+    def _receive(self, topic: str, data: bytes) -> None:
+        """Take in a message; one whose transform is not there yet is tried again."""
         try:
-            grid = messages.grid_in(data, self._frame)
+            change = self._change(topic, data)
+        except messages.NoTransformError as error:
+            self._try_later(topic, data, error)
         except ValueError as error:
-            self._refused.add_request(MAP, error)
-            return
-        self._waiting = [each for each in self._waiting if each[0] != MAP]
-        self._add(MAP, lambda seen: replace(seen, map=walls_of(grid)))
+            self._refused.add_request(topic, error)
+        else:
+            if topic == MAP:
+                self._waiting = [each for each in self._waiting if each[0] != MAP]
+            self._waiting.append((topic, change))
+            self._go_on()
 
-    def _on_obstacle(self, data: bytes) -> None:
-        try:
-            corners = messages.outline_in(data, self._frame)
-            if len(self._waiting) >= _MOST_WAITING:
-                raise Refused('too many walls', 'obstacles come faster than they are taken in')
-        except ValueError as error:
-            self._refused.add_request(OBSTACLE, error)
-            return
-        self._add(OBSTACLE, partial(_with_obstacle, corners=corners))
+    def _change(self, topic: str, data: bytes) -> _Change:
+        """Return what a message asks for."""
+        if topic == MAP:
+            grid = messages.grid_in(data, self._frame, self._frames)
+            return lambda seen: replace(seen, map=walls_of(grid))
+        corners = messages.outline_in(data, self._frame, self._frames)
+        if len(self._waiting) >= _MOST_WAITING:
+            raise Refused('too many walls', 'obstacles come faster than they are taken in')
+        return partial(_with_obstacle, corners=corners)
 
-    def _add(self, topic: str, change: _Change) -> None:
-        self._waiting.append((topic, change))
-        self._go_on()
+    def _try_later(self, topic: str, data: bytes, error: messages.NoTransformError) -> None:
+        late = [each for each in self._without_transform if not each[0] == topic == MAP]
+        if len(late) >= _MOST_WAITING:
+            self._refused.add_request(topic, error)
+            return
+        self._without_transform = [*late, (topic, data)]
+        if error.cause not in self._said:
+            self._said.add(error.cause)
+            self._node.get_logger().warning(f'{topic} waits for its transform: {error}')
+        if self._again is None:
+            wall = Clock(clock_type=ClockType.STEADY_TIME)
+            self._again = self._node.create_timer(_RETRY_PERIOD, self._try_again, clock=wall)
+
+    def _try_again(self) -> None:
+        late, self._without_transform = self._without_transform, []
+        for each in late:
+            self._receive(*each)
+        if not self._without_transform and self._again is not None:
+            self._node.destroy_timer(self._again)
+            self._again = None
 
     def _go_on(self) -> None:
         """Begin the next change, one at a time."""

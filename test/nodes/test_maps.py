@@ -64,16 +64,24 @@ class Log:
 class Live:
     """`Maps` without a node."""
 
-    def __init__(self, field: Field = NO_FIELD, run: Run | None = None) -> None:
+    def __init__(
+        self,
+        field: Field = NO_FIELD,
+        run: Run | None = None,
+        frames: messages.Frames | None = None,
+    ) -> None:
         self.log = Log()
         self.fields: list[Field] = []
         self.prepared: list[Field] = []
+        self.timers: list[Callable[[], None]] = []
         self._callbacks: dict[str, Callable[[bytes], None]] = {}
         done: list[Callable[[], None]] = []
         self._done = done
         node: Any = SimpleNamespace(
             create_subscription=self._subscribe,
             get_logger=lambda: self.log,
+            create_timer=lambda period, call, clock: self.timers.append(call) or call,
+            destroy_timer=lambda timer: self.timers.remove(timer),
             executor=SimpleNamespace(
                 create_task=lambda function, *given: done.append(lambda: function(*given))
             ),
@@ -81,7 +89,7 @@ class Live:
         log: Any = self.log
         self.refused = Refusals(log)
         self.maps = Maps(
-            node, 'map', field, self.fields.append, self.prepared.append, self.refused, run
+            node, 'map', frames, field, self.fields.append, self.prepared.append, self.refused, run
         )
 
     def _subscribe(self, kind: Any, topic: str, callback: Any, *_: Any, **__: Any) -> None:
@@ -89,6 +97,10 @@ class Live:
 
     def show(self, topic: str, message: Any) -> None:
         self._callbacks[topic](serialize_message(message))
+
+    def look_again(self) -> None:
+        for timer in list(self.timers):
+            timer()
 
     def spin(self) -> None:
         while self._done:

@@ -4,6 +4,7 @@
 from herding_ros.checks import check_frame, check_stamp
 
 from .diagnostics import diagnostics
+from .frames import Frames, LATEST, NoTransformError, Placement
 from .received import (
     command_in,
     dog_in,
@@ -19,6 +20,10 @@ from .stamps import dog_frame, nanoseconds, stamp_of, turned
 from .visualisation import drawing, marker_array, path, pose
 
 __all__ = [
+    'LATEST',
+    'Frames',
+    'NoTransformError',
+    'Placement',
     'Sheep',
     'check_frame',
     'check_stamp',
