@@ -126,6 +126,25 @@ GOALS = (
         lambda results: results.values('ratios', 'feedback'),
         at_least=False,
     ),
+    Goal(
+        '[Among 20 walls](#walls), with dogs apart: time of a window / without either',
+        1.5,
+        lambda results: results.values('ratios', 'planning among walls', kind='window'),
+        at_least=False,
+    ),
+    Goal(
+        'The same, feedback',
+        1.5,
+        lambda results: results.values('ratios', 'planning among walls', kind='feedback'),
+        at_least=False,
+    ),
+    Goal(
+        'Filter of commands, 10 dogs, 40 walls',
+        1.0,
+        lambda results: [1e3 * s for s in results.values('seconds', 'command filter')],
+        ' ms',
+        at_least=False,
+    ),
     Goal('A whole [replan](#replan), horizon 20 s', 250.0, replans, ' ms', at_least=False),
     Goal(
         '`scripts/herd`, three processes: simulated seconds per second',

@@ -62,6 +62,8 @@ def section(results: Results) -> str:
         optimiser=tables.optimiser(results),
         whole_solves=tables.whole_solves(results),
         feedback=tables.feedback(results),
+        walls=tables.walls(results),
+        filter=spread([1e3 * s for s in results.values('seconds', 'command filter')]),
         replan=tables.replan(results),
         herd=tables.herd(results),
         jitter=tables.jitter(results),

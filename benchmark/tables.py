@@ -137,6 +137,20 @@ def feedback(results: Results) -> str:
     )
 
 
+def walls(results: Results) -> str:
+    """Return what planning among walls takes."""
+    return table(
+        {
+            'seed': entry['seed'],
+            'what': entry['kind'],
+            'free [ms]': median(entry['seconds'], 1e-3),
+            'among walls [ms]': median(entry['peer_seconds'], 1e-3),
+            'among walls / free': Quartiles.of(entry['ratios']),
+        }
+        for entry in results.of('planning among walls')
+    )
+
+
 def replan(results: Results) -> str:
     """Return the time of a window, and of its phases."""
 

@@ -70,25 +70,30 @@ class ClosedLoopRun:
         return self.home is not None
 
 
-def as_policy(pilot: LockstepPilot, reports: list[SolveReport]) -> Policy:
-    """Return a pilot as a policy that appends the report of each plan to `reports`."""
+def as_policy(pilot: LockstepPilot, reports: list[SolveReport], velocities: bool = True) -> Policy:
+    """Return a pilot as a policy that appends the report of each plan to `reports`.
+
+    Without velocities the pilot sees only the positions of sheep.
+    """
 
     def keep(decision: Decision, t: float) -> None:
         if decision.announcement is not None:
             reports.append(decision.announcement.plan.window.report)
 
-    return watched(pilot, keep)
+    return watched(pilot, keep, velocities)
 
 
-def watched(pilot: LockstepPilot, watch: Callable[[Decision, float], None]) -> Policy:
+def watched(
+    pilot: LockstepPilot, watch: Callable[[Decision, float], None], velocities: bool = True
+) -> Policy:
     """Return a pilot as a policy that shows each decision and its time [s] to `watch`.
 
-    Where the pilot of a node counts a plan that could not be made and goes on, this raises the
-    error.
+    Without velocities the pilot sees only the positions of sheep. Where the pilot of a node counts
+    a plan that could not be made and goes on, this raises the error.
     """
 
     def policy(observed: HerdState, t: float) -> Array:
-        decision = pilot.decide(Observed.complete(t, observed))
+        decision = pilot.decide(Observed.complete(t, observed, velocities))
         if decision.error is not None:
             raise decision.error
         watch(decision, t)

@@ -13,7 +13,7 @@ from herding_ros.model.state import Array, HerdState
 import numpy as np
 
 from .parameters import Bodies, Control
-from .separation import Agility, gain_for, HalfPlanes, kept_apart
+from .separation import Agility, gain_for, kept_apart, Neighbours, Obstacles
 
 
 @dataclass(frozen=True)
@@ -81,63 +81,68 @@ class CommandFilter:
         keeps = keeps_distances(control, field)
         wanted = u = asked[seen]
         before, most = last[seen], motion.largest_change(period)
-        if keeps:
+        limits = _Limits.of(control, motion)
+        near = limits.neighbours(state, hidden, bodies, field) if keeps else None
+        if near is not None:
             # Dogs that have to turn do so for what they would be told if they need not.
-            u = _apart(wanted, state, hidden, control, field, bodies.margin, Agility(before))
+            u = kept_apart(near, wanted, limits.gain, limits.speed, bodies.margin)
         changed = u is not wanted
         if bodies.ramp or most < np.inf:
             smooth = control.max_speed * period / bodies.ramp if bodies.ramp else np.inf
             u = before + motion.project(u - before, min(most, smooth))
-        if keeps:
+        if near is not None:
             agility = Agility(before, most, motion.directions(state.d))
-            u = _apart(u, state, hidden, control, field, 0.0, agility, part=not bodies.ramp)
+            u = kept_apart(
+                near, u, limits.gain, limits.speed, part=not bodies.ramp, agility=agility
+            )
         command = asked.copy()
         command[seen] = u
         return FilteredCommand(command, changed, keeps and _are_too_near(state.dogs, bodies))
 
 
-def _apart(
-    u: Array,
-    state: HerdState,
-    hidden: Array,
-    control: Control,
-    field: Field,
-    margin: float,
-    agility: Agility,
-    part: bool = True,
-) -> Array:
-    """Return the nearest commands that keep the distances and a margin [m]; u itself if it does.
+@dataclass(frozen=True)
+class _Limits:
+    """How fast dogs may come nearer.
 
-    hidden: (n, 2) places [m] of dogs that stand; part: see `kept_apart`.
+    speed: that no dog exceeds [m/s]; gain: that is safe [1/s], see `separation`; control_period
+    [s]: for which commands hold; motion: of the dogs.
     """
-    bodies, d, motion = control.bodies, state.dogs, control.motion
-    assert isinstance(motion, Obedient)
-    period, most = control.horizon.control_period, motion.largest_change(1.0)
-    ahead = motion.project(np.array([control.max_speed, 0.0]), control.max_speed)
-    limit = float(np.linalg.norm(ahead))
-    # A velocity that is reached at the end of a period takes effect a period later.
-    delay = bodies.delay + (period if most < np.inf else 0.0)
-    gain = gain_for(delay, period, most / limit)
-    reach = limit / gain
 
-    def kept(distance: float) -> float:
-        """Return what to keep so that ways which are not straight keep the distance and margin."""
-        bend = motion.bend(limit, period, distance)
-        return distance + margin + bend / (gain * period)
+    speed: float
+    gain: float
+    control_period: float
+    motion: Obedient
 
-    planes, distance = HalfPlanes.none(), -np.inf  # of two dogs
-    if bodies.separation:
-        distance = kept(bodies.separation)
-        planes = planes.and_also(HalfPlanes.around(hidden, d, distance, reach))
-    if bodies.sheep_distance:
-        from_sheep = kept(bodies.sheep_distance)
-        planes = planes.and_also(HalfPlanes.around(state.x, d, from_sheep, reach))
-    if len(field.bars):
-        gaps, normals = field.away(d)
-        gaps -= kept(bodies.wall_distance)
-        dogs, walls = np.nonzero(gaps < reach)
-        planes = planes.and_also(HalfPlanes(dogs, normals[dogs, walls], gaps[dogs, walls]))
-    return kept_apart(d, u, distance, gain, limit, planes, part, agility)
+    @classmethod
+    def of(cls, control: Control, motion: Obedient) -> _Limits:
+        period, most = control.horizon.control_period, motion.largest_change(1.0)
+        ahead = motion.project(np.array([control.max_speed, 0.0]), control.max_speed)
+        speed = float(np.linalg.norm(ahead))
+        # A velocity that is reached at the end of a period takes effect a period later.
+        delay = control.bodies.delay + (period if most < np.inf else 0.0)
+        return cls(speed, gain_for(delay, period, most / speed), period, motion)
+
+    def neighbours(
+        self, state: HerdState, hidden: Array, bodies: Bodies, field: Field
+    ) -> Neighbours:
+        """Return what dogs have to keep from; hidden: (n, 2) places [m] of dogs that stand."""
+        from_dogs, there = -np.inf, Obstacles.none()
+        if bodies.separation:
+            from_dogs = self._kept(bodies.separation)
+            there = Obstacles.points(hidden, from_dogs)
+        if bodies.sheep_distance:
+            from_sheep = self._kept(bodies.sheep_distance)
+            there = there.and_also(Obstacles.points(state.x, from_sheep))
+        if len(field.bars):
+            from_walls = self._kept(bodies.wall_distance)
+            there = there.and_also(Obstacles.walls(field.bars, from_walls))
+        reach = bodies.margin + self.speed / self.gain
+        return Neighbours.of(state.dogs, from_dogs, there, reach)
+
+    def _kept(self, distance: float) -> float:
+        """Return what to keep so that ways which are not straight keep the distance."""
+        bend = self.motion.bend(self.speed, self.control_period, distance)
+        return distance + bend / (self.gain * self.control_period)
 
 
 def keeps_distances(control: Control, field: Field = NO_FIELD) -> bool:

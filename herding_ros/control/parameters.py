@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 from herding_ros.model.bodies import Body
 from herding_ros.model.delay import delay_quantity, periods
-from herding_ros.model.flock import Allowance, flock
+from herding_ros.model.flock import Allowance
 from herding_ros.model.motion import Holonomic, MotionModel
 from herding_ros.model.parameters import Parameters, quantity, TINY
-from herding_ros.model.state import HerdState
 
 
 @dataclass(frozen=True)
@@ -412,10 +411,6 @@ class Control(Parameters):
     def periods_of_delay(self) -> int:
         """The delay in control periods."""
         return periods('Control.delay', self.delay, self.horizon.control_period)
-
-    def herded(self, state: HerdState) -> HerdState:
-        """Return the herd without the sheep that may be left behind: no dog is sent for them."""
-        return state.of_sheep(flock(state.x, self.arrival.strays))
 
 
 PAPER = Control(

@@ -84,9 +84,16 @@ class Observed:
     is_velocity_seen: NDArray[np.bool_] | None = None
 
     @classmethod
-    def complete(cls, t: float, state: HerdState) -> Observed:
-        """Return an observation at t [s] of all sheep, named by their rows, and all dogs."""
-        return cls(round(t * 1e9), np.arange(len(state.x)), state, tuple(range(len(state.d))))
+    def complete(cls, t: float, state: HerdState, velocities: bool = True) -> Observed:
+        """Return an observation at t [s] of all sheep, named by their rows, and all dogs.
+
+        Without velocities of sheep these are 0, and only the positions count.
+        """
+        ids, dogs = np.arange(len(state.x)), tuple(range(len(state.d)))
+        if velocities:
+            return cls(round(t * 1e9), ids, state, dogs)
+        blind = replace(state, v=np.zeros_like(state.v))
+        return cls(round(t * 1e9), ids, blind, dogs, np.zeros(len(ids), dtype=np.bool_))
 
     @property
     def t(self) -> float:
@@ -117,12 +124,15 @@ class Decision:
 
     command: velocities (M, 2) [m/s] of all dogs; None before the first plan. announcement: a plan
     that is new. events: what has changed or gone wrong. error: why a plan was not made, if so.
+    asked: what the plan asked for (M, 2) [m/s] where dogs are told something else to keep apart;
+    None where they are not.
     """
 
     command: Array | None
     announcement: Announcement | None = None
     events: tuple[Event, ...] = ()
     error: Exception | None = None
+    asked: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -162,6 +172,7 @@ class Pilot:
         self._events: list[Event] = []
         self._said: dict[str, float] = {}  # when
         self._error: Exception | None = None
+        self._overruled: Array | None = None
         self._start_afresh()
 
     def _start_afresh(self) -> None:
@@ -371,6 +382,7 @@ class Pilot:
                 f'{control.bodies.separation:g} m: they part',
             )
         if command.changed:
+            self._overruled = asked
             self.commands_changed += 1
             walls = ' and off walls' if len(field.bars) else ''
             self._say('info', f'commands are changed to keep dogs apart{walls}; they are counted')
@@ -423,8 +435,10 @@ class Pilot:
                 self._commands + 1,
                 self._sum_of_commands + acting,
             )
-        decision = Decision(command, announcement, tuple(self._events), self._error)
-        self._events, self._error = [], None
+        decision = Decision(
+            command, announcement, tuple(self._events), self._error, self._overruled
+        )
+        self._events, self._error, self._overruled = [], None, None
         return decision
 
 

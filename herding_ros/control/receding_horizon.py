@@ -22,6 +22,7 @@ from herding_ros.model.mean_field import mean_field
 from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState, Trajectory
 import numpy as np
+from numpy.typing import NDArray
 
 from .coarse_model import CoarseModel
 from .costs.control_effort import ControlEffort
@@ -34,6 +35,7 @@ from .parameter_extraction import ParameterExtraction
 from .parameters import Control
 from .plan import Plan, SLACK
 from .pqn import pqn
+from .response import Response
 from .solution import Budget, never, NoTimeFor, Problem, Projection, Solution, Status
 from .solve_report import SolveReport, Stopwatch
 from .space_mapping import (
@@ -60,15 +62,15 @@ _EXTRACTION_TOLERANCE = 4.5e-4
 
 @dataclass(frozen=True)
 class _Planned:
-    """A plan of so many sheep, the centre that was expected, and the mapping's defect.
+    """A plan, which sheep (N,) it is for, the centre expected of them, and the mapping's defect.
 
-    Both (intervals + 1, 2) [m]. The defect, the expected minus the coarse centre, grows with time
-    from a state that is known. So the best guess of that of a plan from a newer state is the
-    same, not shifted in time.
+    Centre and defect are (intervals + 1, 2) [m]. The defect, the expected minus the coarse centre,
+    grows with time from a state that is known. So the best guess of that of a plan from a newer
+    state is the same, not shifted in time.
     """
 
     plan: Plan
-    sheep: int
+    sheep: NDArray[np.bool_]
     centre: Array
     defect: Array
 
@@ -104,6 +106,7 @@ class RecedingHorizon:
     costs: Sequence[Cost] = ()
     _planned: list[_Planned] = field(default_factory=list, init=False)  # by their starts
     _drift: Drift = field(default_factory=Drift, init=False)
+    _response: Response = field(default_factory=Response, init=False)
     _hessian: Hessian = field(default_factory=Hessian, init=False)
     _turns: Iterator[str] = field(default_factory=lambda: itertools.cycle(RULES), init=False)
     _noise: Noise | None = field(default=None, init=False)
@@ -125,12 +128,12 @@ class RecedingHorizon:
     def restart(self) -> None:
         """Forget all plans: the next solve starts from standing dogs."""
         self._planned, self._turns = [], itertools.cycle(RULES)
-        self._drift, self._hessian = Drift(), Hessian()
+        self._drift, self._response, self._hessian = Drift(), Response(), Hessian()
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         """Plan with these from the next solve on."""
         self.crowd, self.control, self._noise = crowd, control, None
-        self._drift, self._hessian = Drift(), Hessian()
+        self._drift, self._response, self._hessian = Drift(), Response(), Hessian()
 
     def coarse_model(self, state: HerdState) -> CoarseModel:
         """Return the model without noise: the flock itself, or the limit of a large one."""
@@ -148,8 +151,9 @@ class RecedingHorizon:
         """
         clock = Stopwatch()
         control, horizon = self.control, self.control.horizon
-        state = control.herded(state)
         self._learn(state, t)
+        which = self._response.herded(state.x, control.arrival.strays)
+        state = state.of_sheep(which)
         coarse = self.coarse_model(state)
         budget = Budget(
             control.optimiser.max_iterations,
@@ -198,12 +202,14 @@ class RecedingHorizon:
         # It may be planned ahead: until it starts, what was planned before is played.
         played = [each for each in self._planned if each.plan.end > t + SLACK]
         by_period = slice(None, None, horizon.substeps)
-        planned = _Planned(plan, len(state.x), expected_centre[by_period], defect[by_period])
+        planned = _Planned(plan, which, expected_centre[by_period], defect[by_period])
         self._planned = _in_order([*played, planned])
         report = SolveReport.of(
             'window', solution, mapping, expected, extraction_calls, clock.seconds()
         )
-        return Window(plan, report, horizon.dt, expected_centre, spread(predicted.x), predicted.d)
+        return Window(
+            plan, report, horizon.dt, expected_centre, spread(predicted.x), predicted.d, which
+        )
 
     def improve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
         """Improve the plan that is played at t [s] in the given state, by few iterations.
@@ -212,8 +218,9 @@ class RecedingHorizon:
         control's own time grid. no_time_for is called with 'coarse' or 'fine', see `solve`.
         """
         clock = Stopwatch()
-        state = self.control.herded(state)
         self._learn(state, t)
+        which = self._response.herded(state.x, self.control.arrival.strays)
+        state = state.of_sheep(which)
         optimiser, horizon = self.control.optimiser, self.control.horizon
         corrects = self.control.mapping.feedback
         coarse = self.coarse_model(state)
@@ -240,24 +247,27 @@ class RecedingHorizon:
         expected_centre = output + found.drifted
         plan = Plan(t, horizon.control_period, solution.u)
         waiting = [each for each in self._planned if each.plan.t0 > t + SLACK]
-        planned = _Planned(plan, len(state.x), expected_centre, defect)
+        planned = _Planned(plan, which, expected_centre, defect)
         self._planned = _in_order([planned, *waiting])
         mapping = MappingResult(solution.u, output, Status.CONVERGED)
         report = SolveReport.of('feedback', solution, mapping, expected, 0, clock.seconds())
         return Window(
-            plan, report, horizon.control_period, expected_centre, spread(predicted.x), predicted.d
-        )
+            plan, report, horizon.control_period, expected_centre, spread(predicted.x),
+            predicted.d, which,
+        )  # fmt: skip
 
     def _learn(self, state: HerdState, t: float) -> None:
         """Compare the flock at t [s] with what was expected of it at the last look."""
-        horizon, last = self.control.horizon, self._playing(t)
-        if last is None or last.sheep != len(state.x) or not horizon.has_feedback:
+        control, horizon, last = self.control, self.control.horizon, self._playing(t)
+        if control.arrival.strays and len(state.x) <= 2 * control.coarse.markers:
+            self._response.learn(self.crowd, control, state, t)
+        if last is None or len(last.sheep) != len(state.x) or not horizon.has_feedback:
             return
         periods = round((t - last.plan.t0) / horizon.control_period)
         if 0 < periods < len(last.centre):
-            error = centre(state.x) - last.centre[periods]
+            error = centre(state.x[last.sheep]) - last.centre[periods]
             elapsed = periods * horizon.control_period
-            self._drift.learn(self.crowd, error, elapsed, horizon.accepted, self.control.max_speed)
+            self._drift.learn(self.crowd, error, elapsed, horizon.accepted, control.max_speed)
 
     def _playing(self, t: float) -> _Planned | None:
         """Return the plan that is played at t [s]: of those that have begun, the last."""

@@ -20,7 +20,7 @@ import math
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import relative_friction
-from herding_ros.model.flock import centre, spread
+from herding_ros.model.flock import centre, flock, spread
 from herding_ros.model.noise import strength
 from herding_ros.model.state import HerdState
 import numpy as np
@@ -47,14 +47,17 @@ def is_surprising(
     Its centre or its spread has to be off by more than the random force and the errors of two
     observations explain; the first of these is that of the window, elapsed [s] ago.
     """
-    state = control.herded(state)
-    n, sensor = len(state.x), control.sensor
+    which = window.sheep
+    if which is None or len(which) != len(state.x):
+        which = flock(state.x, control.arrival.strays)
+    state = state.of_sheep(which)
+    n = len(state.x)
     sigma = math.sqrt(np.square(strength(crowd, t, state.x)).mean())
     moved = sigma**2 * displacement_variance(crowd, elapsed)
     aligned = replace(crowd, friction=relative_friction(crowd, state.x))
     apart = sigma**2 * displacement_variance(aligned, elapsed)
-    seen = 2.0 * sensor.position_noise**2 + (sensor.velocity_noise * elapsed) ** 2
-    untold = (_UNTOLD * control.max_speed * control.horizon.feedback) ** 2
+    seen = _seen(control, elapsed)
+    untold = _untold(control, control.horizon.feedback)
     common = crowd.common_noise
     k = window.index(t)
     off = float(np.linalg.norm(centre(state.x) - window.centre[k]))
@@ -64,6 +67,29 @@ def is_surprising(
     single = (1.0 - common) * apart + seen
     wider = math.sqrt(window.spread[k] ** 2 + 2.0 * single * (1.0 - 1.0 / n))
     return abs(float(spread(state.x)) - wider) > _DEVIATIONS * math.sqrt(single / n + untold)
+
+
+def _seen(control: Control, elapsed: float) -> float:
+    """Return the variance of what two observations are off by [m^2]."""
+    sensor = control.sensor
+    return 2.0 * sensor.position_noise**2 + (sensor.velocity_noise * elapsed) ** 2
+
+
+def _untold(control: Control, elapsed: float) -> float:
+    return (_UNTOLD * control.max_speed * elapsed) ** 2
+
+
+def variance_of_a_sheep(
+    crowd: Crowd, control: Control, state: HerdState, before: float, t: float
+) -> float:
+    """Return by how much a coordinate of a sheep is off the model's prediction at t [s], [m^2].
+
+    It was predicted from an observation at the time `before` [s]. By the random force, the errors
+    of two observations, and what is wrong besides.
+    """
+    elapsed = t - before
+    moved = np.square(strength(crowd, t, state.x)).mean() * displacement_variance(crowd, elapsed)
+    return float(moved) + _seen(control, elapsed) + _untold(control, elapsed)
 
 
 def displacement_variance(crowd: Crowd, elapsed: float) -> float:

@@ -96,33 +96,32 @@ class Corners:
             middle = corners[passed[::-1]]
         return np.concatenate([ends[0], middle, ends[1][::-1]])
 
-    def first_turns(self, points: Array, end: Array) -> tuple[Array, Array]:
-        """Return where shortest ways from points (n, 2) to an end turn first, and what is left.
+    def first_turns(self, points: Array, ends: Array) -> tuple[Array, Array]:
+        """Return where shortest ways from points to ends (n, 2) turn first, and what is left.
 
         Where walls hide no way that is the end itself, and nothing [m]. The clearance is kept from
         the first corner on: who is nearer to a wall can get there. NaN where there is no way.
         """
-        hidden = self._hidden(points, end[None])[:, 0]
-        turns, rest = np.tile(end, (len(points), 1)), np.zeros(len(points))
+        import shapely
+
+        straight = shapely.linestrings(np.stack([points, ends], axis=1))
+        hidden = np.asarray(shapely.intersects(self.field.walls, straight))
+        turns, rest = np.array(ends), np.zeros(len(points))
         if hidden.any():
             corners, lengths, _ = self._graph
-            last = np.where(
-                self._hidden(corners, end[None])[:, 0],
-                np.inf,
-                np.linalg.norm(corners - end, axis=1),
-            )
-            left = (lengths + last).min(axis=1)
-            away = np.linalg.norm(points[hidden, None] - corners, axis=2)
-            total = np.where(self._hidden(points[hidden], corners), np.inf, away) + left
+            places, which = np.unique(ends[hidden], axis=0, return_inverse=True)
+            left = (lengths[:, :, None] + self._straight(corners, places)).min(axis=1)
+            total = self._straight(points[hidden], corners) + left.T[which]
             best = total.argmin(axis=1)
             found = np.isfinite(total.min(axis=1))
             turns[hidden] = np.where(found[:, None], corners[best], np.nan)
-            rest[hidden] = np.where(found, left[best], np.nan)
+            rest[hidden] = np.where(found, left[best, which], np.nan)
         return turns, rest
 
-    def _hidden(self, a: Array, b: Array) -> NDArray[np.bool_]:
-        """Return whether a wall hides each of b (m, 2) from each of a (n, 2)."""
-        return _cross(self.field.walls, a, b)
+    def _straight(self, a: Array, b: Array) -> Array:
+        """Return the lengths (n, m) of straight ways from a to b [m], infinite through a wall."""
+        length = np.linalg.norm(a[:, None] - b, axis=2)
+        return np.where(_cross(self.field.walls, a, b), np.inf, length)
 
     def _freed(self, point: Array) -> Array | None:
         """Return the way (1 or 2, 2) from a point to where the walls are far enough, or None."""
@@ -239,6 +238,8 @@ class Ways:
             out[m] = nearest[m] + hit / shapely.length(lines[m]) * (posts[m] - nearest[m])
             out[m] += 1e-3 * (nearest[m] - posts[m])  # on its side
         for _ in range(2):  # out of a corner
+            if self.field.gaps(out).min() >= self.clearance:
+                break
             gaps, away = self.field.away(out)
             lacking = np.maximum(self.clearance - gaps, 0.0)
             for bar in np.flatnonzero(lacking.any(axis=0)):
@@ -250,7 +251,8 @@ class Ways:
 
         NaN, and no rest [m], where no wall is before them, or no way leads round it.
         """
-        turns, rest = corners(self.field, self.clearance).first_turns(x, place)
+        places = np.broadcast_to(place, x.shape)
+        turns, rest = corners(self.field, self.clearance).first_turns(x, places)
         return np.where(rest[:, None] > 0.0, turns, np.nan), np.where(rest > 0.0, rest, 0.0)
 
     def steps(self, d: Array, posts: Array) -> Array:
@@ -258,8 +260,5 @@ class Ways:
 
         That is the post itself, unless a wall is between.
         """
-        found = [
-            corners(self.field, self.clearance).first_turns(dog[None], post)[0][0]
-            for dog, post in zip(d, posts, strict=True)
-        ]
+        found, _ = corners(self.field, self.clearance).first_turns(d, posts)
         return np.where(np.isnan(found), posts, found)

@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from herding_ros.model.state import Array
+import numpy as np
+from numpy.typing import NDArray
 
 from .plan import Plan
 from .solve_report import SolveReport
@@ -16,7 +18,8 @@ class Window:
     """A plan with its prediction.
 
     centre: (K+1, 2) expected centre of the sheep [m], spread: (K+1,) without noise [m],
-    dogs: (K+1, M, 2) [m], on the time grid of the prediction, dt [s].
+    dogs: (K+1, M, 2) [m], on the time grid of the prediction, dt [s]; sheep: (N,) which of them
+    these are about, the others being left behind; None: all.
     """
 
     plan: Plan
@@ -25,6 +28,7 @@ class Window:
     centre: Array
     spread: Array
     dogs: Array
+    sheep: NDArray[np.bool_] | None = None
 
     def index(self, t: float) -> int:
         """Return the number of the instant of the prediction that is nearest to t [s]."""

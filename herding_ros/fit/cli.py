@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 import sys
 import time
@@ -126,22 +127,25 @@ def _table(found: Fit) -> Table:
     return table
 
 
-def _in_words(found: Fit, judged: Forecast) -> list[str]:
+def _in_words(found: Fit, judged: Sequence[Forecast]) -> list[str]:
     lines = [f'{each.name} cannot be told: {each.doubt}' for each in found.estimates if each.doubt]
+    if narrower := found.narrower():
+        intervals = ', '.join(
+            f'{each.name} {each.low:.3g} to {each.high:.3g}' for each in narrower
+        )
+        lines.append(f'with these held (--hold), if you know them: {intervals}')
     if found.held:
         lines.append(f'not fitted: {", ".join(found.held)}')
-    for ahead, error, expected, standing in zip(
-        judged.ahead, judged.error, judged.expected, judged.standing, strict=True
-    ):
-        when = f'{ahead:g} s ahead' if ahead else 'at the next observation'
+    for each in judged:
+        when = f'{each.ahead:g} s ahead' if each.ahead else 'at the next observation'
         lines.append(
-            f'{when}: positions off by {error:.3g} m, by the crowd {expected:.3g} m, if sheep '
-            f'stood still {standing:.3g} m (rms)'
+            f'{when}: positions off by {each.error:.3g} m, by the crowd {each.expected:.3g} m, '
+            f'if sheep stood still {each.standing:.3g} m (rms)'
         )
-    ratios = judged.error / judged.expected
-    if max(ratios.max(), 1.0 / ratios.min()) > _LIKE:
+    ratios = [each.error / each.expected for each in judged]
+    if max(*ratios, 1.0 / min(ratios)) > _LIKE:
         lines.append(
-            f'predictions are {ratios.min():.2g} to {ratios.max():.2g} times as far off as the '
+            f'predictions are {min(ratios):.2g} to {max(ratios):.2g} times as far off as the '
             'crowd expects: sheep are not quite of its kind. Intervals are of the best of its kind'
         )
     return lines

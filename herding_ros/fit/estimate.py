@@ -42,6 +42,9 @@ from .recording import Recording
 CONFIDENCE = 0.95
 """Of the intervals."""
 
+_NARROWER = 0.8
+"""An interval is narrower if it is less than this part of another one."""
+
 TOLD = 3.0
 """A parameter can be told if its interval ends within this factor of its value."""
 
@@ -84,7 +87,7 @@ class Estimate:
 
     deviation: standard deviation of its logarithm; alone: what it would be if all others were
     known; blurred: it belongs to a force of so short a range that the noise of the positions
-    hides it.
+    hides it; like: name of the parameter whose estimate is most correlated with this one.
     """
 
     name: str
@@ -93,6 +96,7 @@ class Estimate:
     deviation: float
     alone: float
     blurred: bool
+    like: str = ''
 
     @property
     def low(self) -> float:
@@ -117,7 +121,7 @@ class Estimate:
         if _QUANTILE * self.deviation <= np.log(TOLD):
             return None
         if _QUANTILE * self.alone <= np.log(TOLD):
-            return 'others can make up for it'
+            return f'{self.like} can make up for it'
         return 'it has hardly any effect here'
 
 
@@ -137,6 +141,25 @@ class Fit:
     held: tuple[str, ...]
     converged: bool
     iterations: int
+
+    def narrower(self) -> tuple[Estimate, ...]:
+        """Return estimates with the intervals that they had if what cannot be told were held.
+
+        That is, if it were known to be as it is, and as far as it makes a difference. Where an
+        attraction may be ten times as strong, less is sure of the repulsion beside it.
+        """
+        deviations = np.array([each.deviation for each in self.estimates])
+        covariance = self.correlation * np.outer(deviations, deviations)
+        told = np.array([each.is_told for each in self.estimates])
+        across = covariance[np.ix_(told, ~told)]
+        explained = across @ np.linalg.solve(covariance[np.ix_(~told, ~told)], across.T)
+        left = np.sqrt(np.maximum(np.diag(covariance[np.ix_(told, told)] - explained), 0.0))
+        those = (each for each in self.estimates if each.is_told)
+        return tuple(
+            replace(each, deviation=float(deviation))
+            for each, deviation in zip(those, left, strict=True)
+            if deviation < _NARROWER * each.deviation
+        )
 
 
 @dataclass(frozen=True)
@@ -249,12 +272,14 @@ def _blurred(model: _Model, noise: float) -> set[str]:
 def _estimates(fitted: Sequence[Entry], best: _Model, at: _Evaluation) -> tuple[Estimate, ...]:
     deviations = np.sqrt(np.diag(at.covariance))
     alone = 1.0 / np.sqrt(np.diag(at.information + _TINY))
+    correlation = np.abs(at.covariance / np.outer(deviations, deviations))
+    like = (correlation - np.eye(len(fitted))).argmax(axis=1)
     blur = _blurred(best, best.sensor.position_noise)
     values = best.flat()
     return tuple(
         Estimate(
             e.name, e.field.metadata['unit'], values[e.name], float(deviations[j]),
-            float(alone[j]), e.name in blur,
+            float(alone[j]), e.name in blur, fitted[like[j]].name,
         )
         for j, e in enumerate(fitted)
     )  # fmt: skip

@@ -20,44 +20,84 @@ AHEAD = (0.0, 1.0, 3.0, 10.0)
 
 @dataclass(frozen=True)
 class Forecast:
-    """Errors of predicted positions (L,) [m] at times ahead (L,) [s], root mean square.
+    """K recorded positions, coordinate by coordinate, and what was predicted for them.
 
-    error: what they are; expected: what the crowd says of most sheep, by its noise and that of the
-    sensors, but not of those that another one is so near to that forces are in doubt; standing:
-    what they would be if all sheep stood still.
+    ahead: how long before [s], 0: from one observation to the next; t: (K,) when they were
+    recorded [s]; moved: (K,) how far the sheep had come since the prediction began [m]; off: (K,)
+    recorded less predicted position [m]; deviation: (K,) what the standard deviation of that is
+    according to the crowd, its noise and that of the sensors [m].
     """
 
-    ahead: Array
-    error: Array
-    expected: Array
-    standing: Array
+    ahead: float
+    t: Array
+    moved: Array
+    off: Array
+    deviation: Array
+
+    @property
+    def predicted(self) -> Array:
+        """How far sheep should have come (K,) [m]."""
+        return self.moved - self.off
+
+    @property
+    def standardised(self) -> Array:
+        """Errors in units of what is expected of them (K,): standard normal if the crowd is right.
+
+        That is, but where another sheep is so near that forces are in doubt.
+        """
+        return self.off / self.deviation
+
+    @property
+    def error(self) -> float:
+        """By how much a sheep is off [m], root mean square."""
+        return _distance(np.mean(self.off**2))
+
+    @property
+    def expected(self) -> float:
+        """What the crowd says of that error [m], for most sheep.
+
+        Not for those that another one is so near to that forces are in doubt.
+        """
+        return _distance(np.median(self.deviation**2))
+
+    @property
+    def standing(self) -> float:
+        """What the error would be if all sheep stood still [m]."""
+        return _distance(np.mean(self.moved**2))
+
+
+def _distance(variance: float | np.floating) -> float:
+    """Return the root mean square of a distance, of whose coordinates this is the variance."""
+    return float(np.sqrt(2.0 * variance))
 
 
 def forecast(
     recordings: Sequence[Recording], crowd: Crowd, sensor: Sensor, step: float,
     ahead: Sequence[float] = AHEAD,
-) -> Forecast:  # fmt: skip
-    """Return how well a crowd predicts recordings, as far ahead as one of them lasts."""
-    leads = [lead for lead in ahead if any(lead < each.duration for each in recordings)]
-    error, expected, standing = [], [], []
-    for lead in leads:
-        found = [
-            _errors(each, crowd, sensor, step, lead) for each in recordings if lead < each.duration
+) -> tuple[Forecast, ...]:  # fmt: skip
+    """Return what a crowd predicts of recordings, as far ahead as one of them lasts."""
+    found = []
+    for lead in ahead:
+        parts = [
+            _compared(each, crowd, sensor, step, lead)
+            for each in recordings
+            if lead < each.duration
         ]
-        off, variance, stood = (np.concatenate(part) for part in zip(*found, strict=True))
-        # Both coordinates together: a distance.
-        error.append(np.sqrt(2.0 * np.nanmean(off**2)))
-        expected.append(np.sqrt(2.0 * np.nanmedian(variance)))
-        standing.append(np.sqrt(2.0 * np.nanmean(stood**2)))
-    return Forecast(np.array(leads), np.array(error), np.array(expected), np.array(standing))
+        if parts:
+            found.append(Forecast(lead, *np.concatenate(parts, axis=1)))
+    return tuple(found)
 
 
-def _errors(
+def _compared(
     recording: Recording, crowd: Crowd, sensor: Sensor, step: float, lead: float
-) -> tuple[Array, Array, Array]:
-    """Return errors of positions, their variances, and how far sheep moved; all flat."""
+) -> Array:
+    """Return t, moved, off and deviation of a recording (4, K)."""
     filter = Filter(recording, [lead], step)
     found = filter.innovations(crowd, sensor)
     later = filter.longest_lead
-    moved = recording.x[later:] - recording.x[:-later]
-    return found.off[:, 0, 0].ravel(), found.variance[:, 0, 0].ravel(), moved.ravel()
+    off = found.off[:-later, 0, 0]
+    t = np.broadcast_to(recording.times[later:, None, None], off.shape)
+    moved = (recording.x[later:] - recording.x[:-later]).swapaxes(1, 2)
+    deviation = np.broadcast_to(np.sqrt(found.variance[:-later, 0, :1]), off.shape)
+    there = np.isfinite(off) & np.isfinite(moved)
+    return np.array([each[there] for each in (t, moved, off, deviation)])

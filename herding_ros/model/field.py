@@ -183,6 +183,12 @@ class Field:
         length = np.linalg.norm(off, axis=2)
         return length - radius, off / np.where(length, length, 1.0)[..., None]
 
+    def gaps(self, points: Array) -> Array:
+        """Return how far points (n, 2) [m] are from the nearest bar, (n,) [m]."""
+        from .walls import gaps
+
+        return gaps(points, self.bars)
+
     def check_clear(self, state: HerdState, radius: float) -> None:
         """Raise ValueError unless no sheep is on a wall, and no dog of this radius [m]."""
         if not len(self.bars):
@@ -208,9 +214,15 @@ class Field:
         from shapely import distance, linestrings, points
 
         least = max(least, _SKIN * self.range)
+        stopped = np.zeros(len(before), dtype=np.bool_)
+        near = self.gaps(before) <= 1.001 * (np.linalg.norm(after - before, axis=1) + least)
+        if not near.any():  # as nearly always; the exact answer takes longer
+            return stopped
+        before, after = before[near], after[near]
         nearest = distance(linestrings(np.stack([before, after], axis=1)), self.walls)
         was = distance(points(before), self.walls)
-        return np.asarray((nearest < least) & (nearest < was * (1.0 - _ROUNDING)))
+        stopped[near] = (nearest < least) & (nearest < was * (1.0 - _ROUNDING))
+        return stopped
 
     def turned_back(self, x: Array, v: Array) -> Array:
         """Return velocities v (n, 2) [m/s] of sheep at x (n, 2) [m] reflected at the nearest wall.

@@ -217,8 +217,9 @@ class Simulation:
         """
         field, x, v, d = field_of(self.crowd), after.x.copy(), after.v.copy(), after.d.copy()
         sheep = field.stopped(before.x, x)
-        x[sheep] = before.x[sheep]
-        v[sheep] = field.turned_back(x[sheep], v[sheep])
+        if sheep.any():
+            x[sheep] = before.x[sheep]
+            v[sheep] = field.turned_back(x[sheep], v[sheep])
         dogs = field.stopped(before.dogs, after.dogs, self.world.bodies.radius)
         d[dogs, :2] = before.dogs[dogs]
         self.stops += int(dogs.sum())

@@ -24,7 +24,7 @@ _MOST_CELLS = 256
 
 
 @inlined
-def _off(x: float, y: float, bar: Array, reach: float) -> tuple[float, float, float, bool]:
+def off(x: float, y: float, bar: Array, reach: float) -> tuple[float, float, float, bool]:
     """Return how a point is off a bar's line (2), and its length; whether it is beside an end.
 
     Of a bar that is farther than reach [m] in x or y the length is infinite.
@@ -100,7 +100,7 @@ def _force(x: float, y: float, values: Any) -> tuple[float, float]:
     first, last = _range_near(x, y, near)
     for k in range(first, last):
         bar = bars[near.bars[k]]
-        ox, oy, length, _ = _off(x, y, bar, reach)
+        ox, oy, length, _ = off(x, y, bar, reach)
         part = 1.0 - (length - bar[4]) / reach
         if part > 0.0 and length > 0.0:
             push = strength * part * part / length
@@ -119,7 +119,7 @@ def _product(x: float, y: float, w_x: float, w_y: float, values: Any) -> tuple[f
     first, last = _range_near(x, y, near)
     for k in range(first, last):
         bar = bars[near.bars[k]]
-        ox, oy, length, straight = _off(x, y, bar, reach)
+        ox, oy, length, straight = off(x, y, bar, reach)
         part = 1.0 - (length - bar[4]) / reach
         if part > 0.0 and length > 0.0:
             across = (ox * w_x + oy * w_y) / (length * length)
@@ -139,6 +139,17 @@ def form(bars: Array, strength: float, reach: float) -> Form:
 
 
 @kernel
+def gaps(points: Array, bars: Array) -> Array:
+    """Return how far points (n, 2) [m] are from the nearest of bars (S, 5), S >= 1 [m]."""
+    out = np.full(len(points), np.inf)
+    for i in range(len(points)):
+        for s in range(len(bars)):
+            _, _, length, _ = off(points[i, 0], points[i, 1], bars[s], out[i])
+            out[i] = min(out[i], length - bars[s, 4])
+    return out
+
+
+@kernel
 def nearness(d: Array, bars: Array, distance: float, scale: float, derivative: Array) -> float:
     """Return scale times the sum over dogs at d[1:, :2, M] and bars of max(1 - r/a, 0)^2.
 
@@ -149,7 +160,7 @@ def nearness(d: Array, bars: Array, distance: float, scale: float, derivative: A
     for k in range(1, d.shape[0]):
         for m in range(d.shape[2]):
             for s in range(bars.shape[0]):
-                ox, oy, length, _ = _off(d[k, 0, m], d[k, 1, m], bars[s], distance)
+                ox, oy, length, _ = off(d[k, 0, m], d[k, 1, m], bars[s], distance)
                 part = 1.0 - (length - bars[s, 4]) / distance
                 if part > 0.0 and length > 0.0:
                     total += part * part

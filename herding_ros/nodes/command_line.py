@@ -54,8 +54,9 @@ _NODES = {
     'controller': _Node(
         'Herds by space-mapping receding-horizon control: commands for the dogs from '
         'observations of sheep and dogs.',
-        'publishes: dog_<i>/cmd_vel, plan, herd/goal, herd/path, dog_<i>/path, /diagnostics\n'
-        'subscribes to: sheep, dog_<i>/odom, goal_pose',
+        'publishes: dog_<i>/cmd_vel, plan, herd/goal, herd/path, herd/markers, dog_<i>/path, '
+        '/diagnostics\n'
+        'subscribes to: sheep, dog_<i>/odom, goal_pose, map, field/obstacle',
         (('', ControllerSettings()), ('', Control()), ('crowd.', Crowd())),
         (
             *('dogs', 'goal', 'seed', 'crowd.noise', 'max_speed', 'horizon.length'),

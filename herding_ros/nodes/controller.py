@@ -13,13 +13,16 @@ import sys
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from herding_ros.control.background import run_in_thread
 from herding_ros.control.excitation import ExcitingPilot
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import OutOfStepError
+from herding_ros.control.parameters import Control, OutOfStepError
 from herding_ros.control.pilot import Announcement, Decision, dog_name
 from herding_ros.control.real_time_pilot import RealTimePilot
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.control.solution import Status
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.field import Field, field_of
 from herding_ros.model.motion import steered_ahead
 from herding_ros.model.state import Array
 from herding_ros.model.warmup import warm_up
@@ -28,11 +31,14 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from . import command_line, messages
+from .drawing import Draughtsman
 from .duplicates import sole_publisher
 from .herding_node import HerdingNode
 from .inbox import LOCKSTEP_TURN
+from .maps import MAP, Maps
 from .mismatches import Mismatches, twist_type
 from .observations import Observations
 from .parameters import declare, declare_control, declare_crowd, in_field
@@ -70,7 +76,7 @@ class Controller(HerdingNode):
         self._settings = settings = declare(self, ControllerSettings())
         crowd, goal = in_field(declare_crowd(self), settings)
         control = declare_control(self, crowd)
-        self._control = control
+        self._crowd, self._control = crowd, control
         self._control_period = control.horizon.control_period
         self._decided = 0  # time of the last decision [ns]
         planner = RecedingHorizon(crowd, control, goal, settings.seed)
@@ -81,9 +87,18 @@ class Controller(HerdingNode):
         else:
             self._pilot = RealTimePilot(planner, settings.dogs, settings, self._seconds)
         self.load_kernels(partial(warm_up, crowd, control.motion))
+        self._draughtsman = Draughtsman()
         self._mismatches = Mismatches(self)
         self._create_publishers()
-        self.follow([('crowd.', crowd), ('', control)], self._pilot.adjust)
+        self.follow([('crowd.', crowd), ('', control)], self._adjust)
+        self._field = field_of(crowd)
+        self._frames = messages.Frames.of(self, settings.frame)
+        self._maps = Maps(
+            self, settings.frame, self._frames, self._field, self._take_field, self._prepare,
+            self._refused, None if settings.lockstep else run_in_thread,
+        )  # fmt: skip
+        if settings.needs_map:
+            self.get_logger().info(f'waiting for a map on {self.resolve_topic_name(MAP)}')
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._waiting = self.create_timer(0.02, self._subscribe_when_heard, clock=self._wall)
 
@@ -107,6 +122,7 @@ class Controller(HerdingNode):
         ]
         self._herd_path = publish(Path, 'herd/path')
         self._dog_paths = [publish(Path, f'{name}/path') for name in names]
+        self._markers = publish(MarkerArray, 'herd/markers')
         self._diagnostics = publish(DiagnosticArray, '/diagnostics')
 
     def _type_of_commands(self, name: str) -> type[Twist] | type[TwistStamped]:
@@ -121,6 +137,8 @@ class Controller(HerdingNode):
     def _subscribe_when_heard(self) -> None:
         """Subscribe to observations only once the subscribers of the replies are matched."""
         settings = self._settings
+        if settings.needs_map and not self._maps.has_map:
+            return
         recorder = full_node_name(self, settings.wait_for)
         if settings.lockstep and not all(
             any(
@@ -132,13 +150,13 @@ class Controller(HerdingNode):
         ):
             return
         everything = [*self._commands, self._plan, self._herd_path, *self._dog_paths]
-        everything += [self._goal, self._diagnostics]
+        everything += [self._goal, self._markers, self._diagnostics]
         if settings.wait_for and not is_heard(self, everything, settings.wait_for):
             return
         self.destroy_timer(self._waiting)
         self._observations = Observations(
             self, settings.dogs, settings.frame, settings.most_sheep, settings.state_timeout,
-            self._control, self._refused,
+            self._control, self._refused, self._frames,
         )  # fmt: skip
         if not settings.lockstep:
             self._mismatches.follow(self._observations.inboxes)
@@ -173,13 +191,29 @@ class Controller(HerdingNode):
 
     def _on_goal(self, data: bytes) -> None:
         try:
-            goal = messages.goal_in(data, self._settings.frame)
+            goal = messages.goal_in(data, self._settings.frame, self._frames)
         except ValueError as error:
             self._refused.add_request('goal_pose', error)
             return
         if self._pilot.move_goal(goal):
             self._publish_goal(goal)
             self.get_logger().info(f'the destination is now ({goal[0]:g}, {goal[1]:g})')
+
+    def _adjust(self, crowd: Crowd, control: Control) -> None:
+        """Plan with these values, in the field that there is now."""
+        self._control = control
+        walls = self._field is not field_of(crowd)
+        self._pilot.adjust(self._field.around(crowd) if walls else crowd, control)
+
+    def _prepare(self, field: Field) -> None:
+        """Load the kernels for walls, if these are the first."""
+        if len(field.bars) and not len(self._field.bars):
+            crowd = field.around(self._crowd)
+            self.load_kernels(partial(warm_up, crowd, self._control.motion))
+
+    def _take_field(self, field: Field) -> None:
+        self._field = field
+        self.take_again()
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -197,6 +231,11 @@ class Controller(HerdingNode):
         if decision.announcement is not None:
             self._publish_plan(decision.announcement)
             self._publish_report(decision.announcement, ns)
+        drawn = self._draughtsman.follow(
+            decision, self._pilot.estimate, self._field, self._control
+        )
+        if drawn is not None:
+            self._markers.publish(messages.drawing(drawn, ns, self._settings.frame))
         for event in decision.events:
             _LOG[event.level](self.get_logger(), event.text)
 
@@ -260,6 +299,7 @@ class Controller(HerdingNode):
             'deadlines_missed': pilot.deadlines_missed,
             'plans_failed': pilot.plans_failed,
             'commands_changed': pilot.commands_changed,
+            'walls': len(self._field.bars),
             **pilot.estimate_values(),
             **self._refused.report_values(),
             **mismatched,

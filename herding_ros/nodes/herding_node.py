@@ -91,8 +91,12 @@ class HerdingNode(Node):
         result = super().set_parameters_atomically(parameter_list)
         if result.successful and dynamic:
             self._followed = new
-            self._take(*(values for _, values in new))
+            self.take_again()
         return result
+
+    def take_again(self) -> None:
+        """Hand over the values in force as if they had been set: what depends on them is made."""
+        self._take(*(values for _, values in self._followed))
 
     # What goes out and comes in.
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import time
 
 from herding_ros.control.parameters import Control
 from herding_ros.control.pilot import is_set_back, Observed
@@ -18,6 +19,9 @@ from .inbox import Inbox
 from .publishing import ADJUSTABLE
 from .refusals import Refusals, Refused
 
+_MOST_WAITING = 100
+"""Messages of a topic that wait for a transform."""
+
 
 class Observations:
     """Holds the newest good message of the sheep and of each dog, and refuses all others."""
@@ -31,8 +35,12 @@ class Observations:
         timeout: float,
         control: Control,
         refused: Refusals,
+        frames: messages.Frames | None = None,
     ) -> None:
-        """Subscribe. Stamps older than `timeout` [s], or as far in the future, are refused."""
+        """Subscribe. Stamps older than `timeout` [s], or as far in the future, are refused.
+
+        What is in another frame waits for as long for its transform, where there are `frames`.
+        """
         self.headings: Array = np.zeros(dogs)
         """Newest known headings of the dogs (M,) [rad]."""
         self._frame = frame
@@ -42,6 +50,8 @@ class Observations:
         self._motion = control.motion
         self._needs_velocities = not control.sensor.position_noise
         self._refused = refused
+        self._frames = frames
+        self._waiting: dict[str, list[tuple[float, bytes]]] = {}
         self._now = 0
         self._flock: messages.Sheep | None = None
         self._dogs: dict[int, tuple[int, Array]] = {}
@@ -64,26 +74,44 @@ class Observations:
         self._flock = None
         self._dogs.clear()
 
+    def _incoming(self, topic: str, inbox: Inbox) -> Iterator[tuple[float, bytes]]:
+        """Yield messages and when they came [s]: first those that waited for a transform."""
+        yield from self._waiting.pop(topic, ())
+        for data, _ in inbox.take():
+            yield time.monotonic(), data
+
+    def _refuse(self, topic: str, error: ValueError, came: float, data: bytes) -> None:
+        """Refuse a message, or let it wait: a transform often comes later than what it is for."""
+        waiting = self._waiting.setdefault(topic, [])
+        is_early = time.monotonic() < came + self._timeout and len(waiting) < _MOST_WAITING
+        if isinstance(error, messages.NoTransformError) and is_early:
+            waiting.append((came, data))
+        else:
+            self._refused.add(topic, error)
+
     def _take(self, now: int | None = None) -> None:
         """Take the messages that have come in; stamps are checked if `now` [ns] is given."""
-        for data, _ in self._sheep.take():
+        for came, data in self._incoming('sheep', self._sheep):
             try:
                 flock = messages.sheep_in(
-                    data, self._frame, self._most_sheep, self._needs_velocities
+                    data, self._frame, self._most_sheep, self._needs_velocities, self._frames
                 )
                 self._check_stamp(flock.ns, now, self._flock.ns if self._flock else 0)
                 self._flock = flock
             except ValueError as error:
-                self._refused.add('sheep', error)
+                self._refuse('sheep', error, came, data)
         for m, inbox in enumerate(self._odometry):
-            for data, _ in inbox.take():
+            topic = f'dog_{m + 1}/odom'
+            for came, data in self._incoming(topic, inbox):
                 try:
-                    ns, position, heading, velocity = messages.dog_in(data, self._frame)
+                    ns, position, heading, velocity = messages.dog_in(
+                        data, self._frame, self._frames
+                    )
                     self._check_stamp(ns, now, self._dogs[m][0] if m in self._dogs else 0)
                     self._dogs[m] = ns, self._state_of_dog(position, heading, velocity)
                     self.headings[m] = heading
                 except ValueError as error:
-                    self._refused.add(f'dog_{m + 1}/odom', error)
+                    self._refuse(topic, error, came, data)
 
     def _check_stamp(self, ns: int, now: int | None, last: int) -> None:
         if now is None:

@@ -84,6 +84,9 @@ class ControllerSettings(NodeSettings, Timing):
         100_000, 'a message with more sheep than this is refused', low=1, high=1_000_000
     )
     seed: int = quantity(0, 'seed of the Monte Carlo paths', low=0)
+    needs_map: bool = quantity(
+        False, 'do nothing before there is a map on the topic map, whose walls are kept clear of'
+    )
     excite: bool = quantity(
         False,
         'herd nowhere: dogs run to and fro through the flock, so that fit can tell from a '

@@ -198,6 +198,12 @@ class Reader:
         at = self._pass(length)
         return memoryview(self._data)[at : self._at]
 
+    def some_doubles(self, count: int) -> tuple[float, ...]:
+        """Return so many doubles."""
+        self._at += -(self._at - len(_ENCODING)) % 8
+        layout = _layout(f'{self._order}{count}d')
+        return layout.unpack_from(self._data, self._pass(layout.size))
+
     def flag(self) -> bool:
         """Return a boolean."""
         return self._data[self._pass(1)] != 0

@@ -28,7 +28,7 @@ from .study import grid, NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
 TITLE = 'Noisy observations'
-DESCRIPTION = 'observation noise up to 0.05 m and 0.05 m/s, filtered and as it is'
+DESCRIPTION = 'observation noise up to 0.05 m and 0.05 m/s, filtered or not, positions alone'
 
 _NOISES = (0.0, 0.01, 0.02, 0.05)
 """Standard deviation of observed positions [m] and velocities [m/s]."""
@@ -36,6 +36,12 @@ _DOGS = (2, 5)
 _MISJUDGED = (0.02, 0.1)
 """Noises that the filter expects while the largest noise is there."""
 _COLOURS = {'as observed': RED, 'filtered': BLUE}
+
+_FEW = 3
+"""Dogs that herd sheep of which positions alone are seen."""
+_SEEN = {'positions and velocities': True, 'positions': False}
+_ENOUGH, _MORE_TIME = 0.95, 0.15
+"""Without velocities this share of flocks should arrive, in this much more time."""
 
 
 def _settings(expected: float) -> dict[str, Any]:
@@ -55,17 +61,24 @@ def tasks(options: Options) -> list[Task]:
     noises, herds = ((0.0, 0.05), _DOGS[:1]) if quick else (_NOISES, _DOGS)
     pairs = {(noise, _expected(plan, noise)) for noise in noises for plan in _COLOURS}
     pairs |= {(noises[-1], expected) for expected in _MISJUDGED}
-    return [
-        run_task(
-            options,
-            cost=0.2 if quick else 4.0 / case['dogs'],
-            noise=noise,
-            settings=_settings(expected),
-            **case,
-        )
+    cases: list[dict[str, Any]] = [
+        {'noise': noise, 'settings': _settings(expected), **case}
         for noise, expected in sorted(pairs)
         for case in grid(dogs=herds, seed=options.seed_range(20))
     ]
+    cases += [
+        {'noise': noises[-1], 'settings': _seen_settings(velocities, noises[-1]),
+         'velocities': velocities, 'dogs': _FEW, 'seed': seed}
+        for velocities in _SEEN.values()
+        for seed in options.seed_range(20)
+    ]  # fmt: skip
+    return [run_task(options, 0.2 if quick else 4.0 / case['dogs'], **case) for case in cases]
+
+
+def _seen_settings(velocities: bool, noise: float) -> dict[str, Any]:
+    """Settings of a controller that expects the noise of what it sees."""
+    names = ('position_noise', 'velocity_noise') if velocities else ('position_noise',)
+    return {f'sensor.{name}': noise for name in names}
 
 
 _Runs = dict[tuple[int, float, float], Results]
@@ -80,6 +93,10 @@ def draw(results: Results, figures: Path) -> Section:
         )
         for dogs, noise, expected in product(_DOGS, _NOISES, sorted({*_NOISES, *_MISJUDGED}))
     }
+    alone = {
+        what: results.of('herding', dogs=_FEW, velocities=velocities)
+        for what, velocities in _SEEN.items()
+    }
     _draw_times(runs, figures)
     groups = (
         ({'noise': f'{noise:g}', 'expected': f'{expected:g}'}, runs[dogs, noise, expected])
@@ -92,8 +109,11 @@ def draw(results: Results, figures: Path) -> Section:
         'errors': _error_table(runs),
         'misjudged': _misjudged_table(runs),
         'failures': failures(groups),
+        'alone': _alone_table(alone),
+        'alone_failures': failures(({'observed': what}, each) for what, each in alone.items()),
     }
-    return Section(values, _rows(runs), _goals(runs))
+    goals = [*_goals(runs), *_goals_alone(*alone.values())]
+    return Section(values, [*_rows(runs), *_rows_alone(*alone.values())], goals)
 
 
 def _table(runs: _Runs, dogs: int) -> str:
@@ -184,6 +204,45 @@ def _misjudged_table(runs: _Runs) -> str:
         for dogs, expected in product(_DOGS, sorted({0.0, noise, *_MISJUDGED}))
         if len(found := runs[dogs, noise, expected])
     )
+
+
+def _alone_table(alone: dict[str, Results]) -> str:
+    whole = alone['positions and velocities']
+    rows = []
+    for what, found in alone.items():
+        if not len(found):
+            continue
+        slowdown, count = _slowdown(found, whole)
+        rows.append(
+            {
+                'observed': what,
+                **summary(found),
+                'change of the time [%] (flocks)': (
+                    '' if found is whole else f'{_percent(slowdown)} ({count})'
+                ),
+                'error of estimated positions [m]': _error(found, 'estimated', 'position'),
+                'of velocities [m/s]': _error(found, 'estimated', 'velocity'),
+            }
+        )
+    return table(rows)
+
+
+def _rows_alone(whole: Results, alone: Results) -> list[Row]:
+    what = f'Positions alone, noise {_NOISES[-1]:g} m, {_FEW} dogs'
+    return arrival_row(what, NOT_IN_PAPER, alone, {'velocities too': whole})
+
+
+def _goals_alone(whole: Results, alone: Results) -> list[Goal]:
+    enough = min(len(whole), len(alone)) >= 20
+    arrived, (slowdown, _) = success(alone), _slowdown(alone, whole)
+    what = f'{_FEW} dogs, positions alone, noise {_NOISES[-1]:g} m'
+    here = arrived.value >= _ENOUGH if enough else None
+    soon = slowdown.value <= math.log1p(_MORE_TIME) if enough else None
+    bound = f'≤ {100.0 * _MORE_TIME:g} % of that with velocities'
+    return [
+        Goal(f'{what}: safe arrivals', f'≥ {100.0 * _ENOUGH:g} %', arrived, here),
+        Goal(f'{what}: mean change of the time', bound, f'{_percent(slowdown)} %', soon),
+    ]
 
 
 def _draw_times(runs: _Runs, figures: Path) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import product
 import math
 from pathlib import Path
@@ -15,7 +16,16 @@ from herding_ros.report.statistics import Fraction, Mean, Median, significant
 from herding_ros.report.style import COLOURS, draw_goal, draw_herd, draw_paths, legend, new, save
 import numpy as np
 
-from .experiments.real import ALIGNED, FORMS, identify, MAX_SPEED, PLANTS, STRAIGHT, UNALIGNED
+from .experiments.real import (
+    ALIGNED,
+    FORMS,
+    HOME,
+    identify,
+    MAX_SPEED,
+    PLANTS,
+    STRAIGHT,
+    UNALIGNED,
+)
 from .study import NOT_IN_PAPER, Options, Results, Row, Section
 from .task import Task
 
@@ -58,7 +68,11 @@ def tasks(options: Options) -> list[Task]:
     inputs = {'path': str(data.absolute()) if data else ''}
     test = list(range(0, drives, 3))
     train = [i for i in range(drives) if i % 3]
-    found = [Task('real_drives', {'data': name}, 1.0, inputs)]
+    limits = {'data': name, 'known': train, 'folds': _FOLDS}
+    found = [
+        Task('real_drives', {'data': name}, 1.0, inputs),
+        Task('real_limits', limits, 3.0, inputs),
+    ]
     for form in _KINDS[:2] if quick else _KINDS:
         folds = [train[k::_FOLDS] for k in range(_FOLDS)]
         splits = [(train, test), *(([i for i in train if i not in fold], fold) for fold in folds)]
@@ -146,6 +160,7 @@ def draw(results: Results, figures: Path) -> Section:
     values = {
         'seeds': results.of('real_herding').seeds,
         'speed': f'{MAX_SPEED:g}',
+        'home': f'{HOME:g}',
         'cross': _table(cross),
         'cross_gain': _gains(cross),
         'held': _table(held),
@@ -157,6 +172,8 @@ def draw(results: Results, figures: Path) -> Section:
             else 'not known'
         ),
         'drives': _drives(results),
+        'limits': _limits(results, cross.get(ALIGNED)),
+        'later': _later(results),
         'runs': _runs_table(runs),
     }
     return Section(values, _rows(runs), [*_goals_of_fit(held, final, sizes), *_goals(runs)])
@@ -170,7 +187,7 @@ def _table(found: dict[str, _Prediction]) -> str:
     return table(
         {
             'crowd': form,
-            **{f'{lead:g} s': float(e) for lead, e in zip(LEADS, each.rms, strict=True)},
+            **_at_leads(each.rms),
             'centre, 3 s': float(each.rms_of_centre[1]),
             'centre, 10 s': float(each.rms_of_centre[3]),
         }
@@ -235,6 +252,25 @@ def _drives(results: Results) -> str:
             }
         )
     return table(rows)
+
+
+def _limits(results: Results, ours: _Prediction | None) -> str:
+    rows = [] if ours is None else [('the crowd `aligned`', ours.rms_of_centre)]
+    for found in results.of('real_limits'):
+        rows += found['centre'].items()
+    return table({'known of the centre': name, **_at_leads(errors)} for name, errors in rows)
+
+
+def _later(results: Results) -> str:
+    return table(
+        {'velocities': name, **_at_leads(errors)}
+        for found in results.of('real_limits')
+        for name, errors in found['sheep'].items()
+    )
+
+
+def _at_leads(values: Iterable[float]) -> dict[str, float]:
+    return {f'{lead:g} s': float(value) for lead, value in zip(LEADS, values, strict=True)}
 
 
 _Runs = dict[tuple[str, str, int], Results]

@@ -211,6 +211,7 @@ def test_lockstep_plans_when_due_and_replies_each_time() -> None:
     assert numbers == [0, 1, 2]
     assert pilot.plans_made == 3
     assert not any(decision.events for decision in decisions)
+    assert all(decision.asked is None for decision in decisions)
 
 
 @pytest.mark.parametrize('keeps_time', [False, True])
@@ -231,6 +232,9 @@ def test_commands_keep_dogs_apart_and_that_is_counted_and_said_once(keeps_time: 
     u = command(decisions[-1])
     assert u[:, 0] == pytest.approx(1e-3)  # on they run
     assert u[0, 1] < -1e-3 < 1e-3 < u[2, 1]  # and part
+    asked = decisions[-1].asked
+    assert asked is not None
+    assert goal_of(asked) == [GOAL] * 3
     assert pilot.commands_changed >= len(decisions)
     assert [event.level for event in events] == ['warning', 'info']
     assert 'nearer to each other than bodies.separation, 0.12 m' in events[0].text

@@ -7,7 +7,10 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from herding_ros.fit.cli import main
+from herding_ros.control.parameters import Sensor
+from herding_ros.fit.cli import _in_words, main
+from herding_ros.fit.estimate import Estimate, Fit
+from herding_ros.fit.forecast import Forecast
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.simulation import World
 import numpy as np
@@ -68,6 +71,20 @@ def test_from_a_table_to_parameters(
     assert low < crowd.friction < high
     untold = next(line for line in text.splitlines() if 'hardly any effect' in line)
     assert 'attraction' in untold
+
+
+def test_what_would_be_told_with_the_rest_held_is_said() -> None:
+    """Of two with a correlation of 0.8, one of them untold: 0.6 of the interval is left."""
+    correlation = np.array([[1.0, 0.8], [0.8, 1.0]])
+    told = Estimate('crowd.dog.repulsion', 'm^2/s^2', 1.0, 0.2, 0.1, False)
+    untold = Estimate('crowd.dog.attraction', 'm^2/s^2', 1.0, 2.0, 2.0, False)
+    found = Fit(Crowd(), Sensor(), (told, untold), correlation, (), True, 1)
+    judged = [Forecast(0.0, *np.ones((4, 3)))]
+    low, high = np.exp(np.array([-1.0, 1.0]) * 1.96 * 0.2 * 0.6)
+    line = f'if you know them: crowd.dog.repulsion {low:.3g} to {high:.3g}'
+    assert any(each.endswith(line) for each in _in_words(found, judged))
+    weak = Fit(Crowd(), Sensor(), (told, untold), np.eye(2), (), True, 1)
+    assert not any('if you know them' in each for each in _in_words(weak, judged))
 
 
 @pytest.mark.parametrize(

@@ -70,15 +70,50 @@ def test_a_flat_direction_is_told_from_no_effect() -> None:
     world = World(sheep=10, dogs=2, seed=2)
     fitted = fit([record(crowd, world, 20.0)], crowd, hold=['crowd.sheep.'])
     told = {e.name: e for e in fitted.estimates}
-    for name in ('crowd.friction', 'crowd.noise', 'crowd.dog.repulsion'):
-        assert told[name].doubt == 'others can make up for it'
+    names = {'crowd.friction', 'crowd.noise', 'crowd.dog.repulsion'}
+    for name in names:
+        assert told[name].doubt in {f'{other} can make up for it' for other in names - {name}}
     assert told['crowd.dog.repulsion_length'].is_told
     assert {'crowd.dog.attraction_length', 'crowd.alignment.range'} <= set(fitted.held)
     ratio = fitted.crowd.noise / fitted.crowd.friction
     assert ratio == pytest.approx(crowd.noise / crowd.friction, rel=0.1)
-    names = [e.name for e in fitted.estimates]
-    i, j = names.index('crowd.friction'), names.index('crowd.noise')
+    order = [e.name for e in fitted.estimates]
+    i, j = order.index('crowd.friction'), order.index('crowd.noise')
     assert fitted.correlation[i, j] > 0.99
+
+
+def test_strength_and_range_of_a_dog_that_keeps_its_distance_make_up_for_each_other() -> None:
+    """Only the force at that distance can be told: C / l exp(-r / l)."""
+    crowd, away = Crowd(dog=Morse(2e-2, 0.5, 0.0, 2.0), noise=5e-3), np.array([0.15, 0.0])
+    force = 0.02 / 0.5 * np.exp(-0.15 / 0.5)
+    rng, dt, x, v, seen = np.random.default_rng(0), 0.05, np.zeros(2), np.zeros(2), []
+    for _ in range(1200):
+        seen.append((x, v))
+        push = np.array([force, 0.0]) - crowd.friction * v
+        x, v = x + dt * v, v + dt * push + crowd.noise * np.sqrt(dt) * rng.normal(size=2)
+    places, velocities = np.array(seen[::2]).swapaxes(0, 1)[:, :, None]
+    times = 2.0 * dt * np.arange(len(places))
+    recording = Recording(times, places, velocities, places - away, 'one', 1e-4, 1e-4)
+    hold = ['crowd.sheep.', 'crowd.friction', 'crowd.noise']
+    strength, reach = fit([recording], crowd, hold=hold).estimates
+    assert strength.doubt == 'crowd.dog.repulsion_length can make up for it'
+    assert reach.doubt == 'crowd.dog.repulsion can make up for it'
+    found = strength.value / reach.value * np.exp(-0.15 / reach.value)
+    assert found == pytest.approx(force, rel=0.1)
+
+
+def test_what_is_held_narrows_the_intervals_of_others(reference: Recording) -> None:
+    """As said in advance, from the intervals of a fit in which it is free."""
+    free = fit([reference], Crowd(), hold=['crowd.sheep.'])
+    untold = {e.name for e in free.estimates if not e.is_told}
+    assert untold == {'crowd.dog.attraction', 'crowd.dog.attraction_length'}
+    said = {e.name: e for e in free.narrower()}
+    assert said.keys() == {'crowd.dog.repulsion', 'crowd.dog.repulsion_length'}
+    fewer = fit([reference], Crowd(), hold=['crowd.sheep.', *untold])
+    held = {e.name: e for e in fewer.estimates}
+    for name, each in said.items():
+        assert each.deviation == pytest.approx(held[name].deviation, rel=0.15)
+    assert fewer.narrower() == ()
 
 
 def test_noise_of_sensors_is_found(reference: Recording) -> None:

@@ -122,6 +122,34 @@ def test_errors_of_forecasts_are_as_expected_if_the_crowd_is_right() -> None:
     """A bit larger: at the start some are thrown apart from places that are not well known."""
     seen = [record(Crowd(), World(seed=seed), 30.0) for seed in (1, 2)]
     judged = forecast(seen, Crowd(), Sensor(0.01, 0.005), 0.05)
-    np.testing.assert_array_equal(judged.ahead, [0.0, 1.0, 3.0, 10.0])
-    np.testing.assert_allclose(judged.error / judged.expected, 1.1, atol=0.15)
-    assert (judged.error[1:] < judged.standing[1:]).all()
+    assert [each.ahead for each in judged] == [0.0, 1.0, 3.0, 10.0]
+    ratios = [each.error / each.expected for each in judged]
+    np.testing.assert_allclose(ratios, 1.1, atol=0.15)
+    assert all(each.error < each.standing for each in judged[1:])
+    # At the next observation errors are independent and normal.
+    assert judged[0].standardised.std() == pytest.approx(1.0, abs=0.02)
+
+
+def test_residuals_are_recorded_less_predicted() -> None:
+    """Of a sheep that walks straight on, is not seen for a while, and turns off; at its times."""
+    t = 0.1 * np.arange(41)
+    x = np.stack([t, np.maximum(t - 2.95, 0.0)], axis=1)[:, None]
+    x[20] = np.nan
+    seen = Recording(t, x, np.full_like(x, np.nan), np.full((41, 1, 2), 99.0))
+    straight = Crowd(sheep=NOTHING, dog=NOTHING, friction=0.0, noise=1.0)
+    exact = Sensor(1e-4, 1.0)
+    at_once, second = forecast([seen], straight, exact, 0.05, (0.0, 1.0, 5.0))
+    assert (at_once.ahead, second.ahead) == (0.0, 1.0)
+    # Predictions of 1 s begin each second: that which begins at 2 s has no beginning.
+    np.testing.assert_allclose(second.t, [1.0, 1.0, 4.0, 4.0])
+    np.testing.assert_allclose(second.moved[2:], [1.0, 1.0])
+    np.testing.assert_allclose(second.predicted[2:], [1.0, 0.5], atol=0.1)
+    np.testing.assert_allclose(second.off, second.moved - second.predicted)
+    late = at_once.t > 1.0
+    assert at_once.t[late].min() == pytest.approx(1.1)
+    assert not np.isclose(at_once.t, 2.0).any()
+    before = late & (at_once.t < 2.95)
+    np.testing.assert_allclose(at_once.off[before], 0.0, atol=2e-3)
+    turned = np.isclose(at_once.t, 3.0)
+    np.testing.assert_allclose(at_once.off[turned], [0.0, 0.05], atol=2e-3)
+    np.testing.assert_array_equal(at_once.standardised, at_once.off / at_once.deviation)

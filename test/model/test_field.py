@@ -132,6 +132,21 @@ def test_no_sheep_crosses_a_fence_whatever_the_noise(crowd: Crowd) -> None:
     assert np.abs(free.state.x).max() > 1.0  # and would be elsewhere
 
 
+@pytest.mark.parametrize('least', [0.0, 0.05])
+def test_a_step_is_stopped_if_it_comes_too_near_to_a_wall(least: float) -> None:
+    """Against Shapely, step by step."""
+    rng = np.random.default_rng(5)
+    before = random_places(2000, seed=6)
+    after = before + rng.normal(size=(2000, 2)) * rng.uniform(0.0, 0.1, (2000, 1))
+    keep = max(least, 0.01 * FIELD.range)
+    steps = shapely.linestrings(np.stack([before, after], axis=1))
+    nearest = shapely.distance(steps, FIELD.walls)
+    nearer = nearest < shapely.distance(shapely.points(before), FIELD.walls) * (1.0 - 1e-9)
+    stopped = FIELD.stopped(before, after, least)
+    assert (stopped == ((nearest < keep) & nearer)).all()
+    assert 20 < np.count_nonzero(stopped) < 1000
+
+
 def test_a_dog_stops_at_a_wall_and_is_counted() -> None:
     field = Field(fences=(((0.5, -1.0), (0.5, 1.0)),), discs=((0.0, 0.8, 0.1),))
     world = World(sheep=1, dogs=2, max_speed=0.5)

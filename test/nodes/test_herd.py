@@ -17,9 +17,12 @@ from herding_ros.control.closed_loop import as_policy, closed_loop, play
 from herding_ros.control.excitation import ExcitingPilot
 from herding_ros.control.parameters import Control
 from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.fit import recording
+from herding_ros.fit.estimate import fit
 from herding_ros.model import fast_forces
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.flock import Arrival, arrived, spread
+from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import herd
 from herding_ros.nodes.signals import ENDING, note_signals
@@ -41,6 +44,8 @@ NEXT = (
 LAYOUT = Path(__file__).resolve().parents[2] / 'config' / 'plotjuggler.xml'
 SHEEP, DOGS, SEED, GOAL = 10, 3, 2, (0.4, 0.2)
 LARGE = 1600
+EXCITED = 25.0
+RESPONSE = ('dog.repulsion', 'dog.repulsion_length', 'friction', 'noise')
 OF_RCLPY = ('/rosout', '/parameter_events')
 OPTIONS = ['--sheep', '10', '--dogs', '3', '--seed', '2', '--goal', '0.4', '0.2']
 
@@ -152,18 +157,29 @@ def test_lockstep_is_the_loop_without_ros_bit_for_bit(
         assert short[topic] == long[topic][: len(short[topic])], topic
 
 
-def test_dogs_run_to_and_fro_for_a_recording(start: Callable[..., Any], tmp_path: Path) -> None:
-    """As in the loop without ROS; the run ends by itself and says what to do with the bag."""
-    crowd, world = Crowd(), World(sheep=SHEEP, dogs=DOGS, seed=SEED)
-    pilot = ExcitingPilot(RecedingHorizon(crowd, Control(), np.array(GOAL), SEED), DOGS)
+def test_dogs_run_to_and_fro_for_a_recording_that_tells_how_sheep_respond(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
+    """As in the loop without ROS; the run ends by itself, and of its bag `fit` makes the truth."""
+    crowd, world = Crowd(), World(sheep=20, dogs=5, seed=SEED)
+    pilot = ExcitingPilot(RecedingHorizon(crowd, Control(), np.array(GOAL), SEED), world.dogs)
     field = Simulation(crowd, world, np.array(GOAL))
-    expected = play(field, as_policy(pilot, []), 3.0, stop=False)
+    expected = play(field, as_policy(pilot, []), EXCITED, stop=False)
     out = tmp_path / 'out'
-    process = start('herd', *OPTIONS, '--excite', '--time-limit', '3', '--out', str(out))
+    options = [*OPTIONS, '--sheep', '20', '--dogs', '5', '--excite', '--time-limit', str(EXCITED)]
+    process = start('herd', *options, '--out', str(out))
     assert process.wait() == 0, process.log
     x = np.array([positions(cloud) for cloud in read(out / 'bag')['/truth/sheep']])
     assert np.array_equal(x, expected.x.astype(np.float32))
     assert f'ros2 run herding_ros fit {out}/bag' in process.log
+
+    found = fit([recording.read(out / 'bag')], Crowd(dog=Morse(2e-2, 0.25, 5e-4, 2.0)))
+    true = crowd.flat('crowd.')
+    told = {e.name: e for e in found.estimates if e.is_told and e.name in true}
+    assert told.keys() >= {f'crowd.{name}' for name in RESPONSE}
+    assert {
+        e.name: (e.low, e.high) for e in told.values() if not e.low < true[e.name] < e.high
+    } == {}
 
 
 def test_large_flock_is_herded_as_in_the_loop_without_ros(

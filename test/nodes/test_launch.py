@@ -174,6 +174,8 @@ def test_rviz_shows_the_topics_of_its_namespace() -> None:
         '/clock',
         '/sheep',
         '/markers',
+        '/herd/markers',
+        '/map',
         '/goal_pose',
         '/herd/path',
         '/dog_1/path',

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import array
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 import math
 import struct
@@ -18,6 +18,9 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
     Point,
+    Point32,
+    Polygon,
+    PolygonStamped,
     Pose,
     PoseStamped,
     PoseWithCovariance,
@@ -31,12 +34,13 @@ from herding_ros.control.plan import Plan
 from herding_ros.model.field import Field
 from herding_ros.nodes import messages
 from herding_ros.nodes import refusals as refusals_module
+from herding_ros.nodes.drawing import Drawing
 from herding_ros.nodes.refusals import Refusals
 from herding_ros.nodes.wire import serialized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -45,6 +49,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import Marker, MarkerArray
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MOST = 1000
@@ -56,7 +61,12 @@ READERS: dict[str, Callable[[bytes], Any]] = {
     'command': lambda data: messages.command_in(data, 1, 'map', SPEED),
     'twist': lambda data: messages.twist_in(data, SPEED),
     'goal': lambda data: messages.goal_in(data, 'map'),
+    'grid': lambda data: messages.grid_in(data, 'map'),
+    'outline': lambda data: messages.outline_in(data, 'map'),
 }
+
+CELLS = (0, -1, 100, 65, 64, 1)
+"""Of a map: free, unknown, occupied, just occupied, not quite, free."""
 
 coordinates = st.floats(-1e3, 1e3, width=32)
 points = st.integers(1, 40).flatmap(lambda n: arrays(np.float64, (n, 2), elements=coordinates))
@@ -544,6 +554,68 @@ def command_with(part: str = 'linear', **changes: float) -> bytes:
     return serialize_message(TwistStamped(header=Header(frame_id='map'), twist=twist))
 
 
+def grid_with(
+    frame: str = 'map', resolution: float = 0.5, cells: Sequence[int] = CELLS, width: int = 3,
+    height: int = 2, **origin: float,
+) -> bytes:  # fmt: skip
+    info = MapMetaData(resolution=resolution, width=width, height=height)
+    info.origin = pose_with(**origin)
+    return serialize_message(
+        OccupancyGrid(header=Header(frame_id=frame), info=info, data=array.array('b', cells))
+    )
+
+
+def outline_with(*corners: tuple[float, float], frame: str = 'map') -> bytes:
+    polygon = Polygon(points=[Point32(x=x, y=y, z=math.nan) for x, y in corners])
+    return serialize_message(PolygonStamped(header=Header(frame_id=frame), polygon=polygon))
+
+
+def test_a_map_comes_out_as_it_went_in() -> None:
+    """Its first row is that at the origin, as map_server has it."""
+    half = math.sqrt(0.5)
+    for big in (False, True):
+        data = in_either_order(grid_with(px=1.0, py=-2.0, z=half, w=half), OccupancyGrid, big)
+        grid = messages.grid_in(data, 'map')
+        assert grid.occupied.tolist() == [[False, False, True], [True, False, False]]
+        assert (grid.resolution, grid.x, grid.y) == (0.5, 1.0, -2.0)
+        assert grid.yaw == pytest.approx(math.pi / 2)
+
+
+def test_an_obstacle_comes_out_as_it_went_in() -> None:
+    """What its heights are does not count."""
+    corners = ((0.0, -1.5), (1.0, 0.25), (0.5, 2.0))
+    for big in (False, True):
+        data = in_either_order(outline_with(*corners), PolygonStamped, big)
+        assert messages.outline_in(data, 'map') == corners
+    assert messages.outline_in(outline_with(), 'map') == ()
+
+
+def test_maps_and_obstacles_that_are_none_are_refused() -> None:
+    far = [(0.0, 0.0), (1.0, 0.0), (2e6, 2.0)]
+    bad = [
+        ('grid', grid_with('odom'), 'wrong frame'),
+        ('grid', grid_with(cells=CELLS[:5]), 'malformed'),
+        ('grid', grid_with(cells=(*CELLS, 0)), 'malformed'),
+        ('grid', grid_with(cells=[], width=0), 'empty'),
+        ('grid', grid_with(cells=[], height=0), 'empty'),
+        ('grid', grid_with(cells=[], width=2**32 - 1, height=2**32 - 1), 'too large'),
+        *(('grid', grid_with(cells=(*CELLS[:5], cell)), 'not allowed') for cell in (-2, 101)),
+        *(('grid', grid_with(resolution=r), 'not allowed') for r in (0.0, -0.05, 1e-9, 1e4)),
+        *(('grid', grid_with(resolution=r), kind) for r, kind in BAD),
+        *(('grid', grid_with(**{at: bad}), kind) for bad, kind in BAD
+          for at in ('px', 'py', 'x', 'w')),
+        ('grid', grid_with(px=1e9), 'too large'),
+        ('grid', grid_with(w=0.0), 'not a rotation'),
+        ('grid', grid_with(x=math.sin(0.2), w=math.cos(0.2)), 'not a rotation'),
+        ('outline', outline_with((0.0, 0.0), frame='odom'), 'wrong frame'),
+        ('outline', outline_with(*[(0.0, 0.0)] * 101), 'too large'),
+        ('outline', outline_with(*far), 'too large'),
+        *(('outline', outline_with((0.0, bad)), kind) for bad, kind in BAD),
+    ]  # fmt: skip
+    for what, data, kind in bad:
+        assert refusal(what, data) == kind, (what, data)
+
+
 BAD = [(math.nan, 'not finite'), (math.inf, 'not finite'), (-math.inf, 'not finite')]
 
 
@@ -576,6 +648,8 @@ VALID = {
     'command': (command_with(x=0.01), TwistStamped),
     'twist': (serialize_message(twist_with(x=0.01)), Twist),
     'goal': (goal_with(px=1.0), PoseStamped),
+    'grid': (grid_with(), OccupancyGrid),
+    'outline': (outline_with((0.0, 0.0), (1.0, 0.0), (0.5, 2.0)), PolygonStamped),
 }
 
 
@@ -592,6 +666,11 @@ def read_or_refused(what: str, data: bytes) -> None:
         values = [*read.x.ravel(), *read.v.ravel()]
     elif what == 'odometry':
         values = [*read[1], read[2]]
+    elif what == 'grid':
+        assert 1 <= read.occupied.size <= len(data)
+        values = [read.x, read.y, read.yaw, read.resolution]
+    elif what == 'outline':
+        values = [number for corner in read for number in corner]
     else:
         values = list(read[1] if what == 'command' else read)
     assert all(abs(value) <= 1e8 for value in values)
@@ -829,6 +908,37 @@ def test_markers_show_sheep_dogs_and_goal() -> None:
     assert np.allclose(cross.mean(axis=0), (7.0, 8.0))
     assert np.allclose(np.abs(cross - (7.0, 8.0)), 0.5)
     assert 'walls' not in shown
+
+
+def test_markers_show_what_the_controller_has_decided() -> None:
+    changes = np.array(
+        [[[1.0, 1.0], [1.2, 1.0], [1.1, 1.1]], [[3.0, 1.0], [3.2, 1.0], [3.0, 1.0]]]
+    )
+    d = np.array([[1.0, 1.0], [3.0, 1.0]])
+    walls, route = np.arange(8.0).reshape(2, 2, 2), np.arange(6.0).reshape(3, 2)
+    shown = messages.drawing(Drawing(walls, route, d, 0.1, changes, 0.01), 7, 'field').markers
+    assert shown[0].action == Marker.DELETEALL
+    assert {m.header.frame_id for m in shown} == {'field'}
+    assert {messages.nanoseconds(m.header.stamp) for m in shown} == {7}
+    places = {(m.ns, m.id): np.array([(p.x, p.y) for p in m.points]) for m in shown if m.points}
+    assert np.array_equal(places['walls', 0], walls.reshape(-1, 2))
+    assert np.array_equal(places['route', 0], route)
+    assert np.array_equal(places['separation', 0], d)
+    assert np.array_equal(places['asked', 0], changes[:, :2].reshape(-1, 2))
+    assert np.array_equal(places['told', 0], changes[0, 1:])
+    assert np.array_equal(places['told', 1], changes[1, 1:])
+    assert len(places) == len(shown) - 1 == 6
+    (disc,) = [m for m in shown if m.ns == 'separation']
+    assert disc.scale.x == disc.scale.y == 0.1  # two that touch are so far apart
+    data = serialized(messages.drawing(Drawing(walls, route, d, 0.1, changes, 0.01), 7, 'a'))
+    assert data == as_rosbags_writes_it(data, MarkerArray)
+
+
+def test_nothing_is_drawn_of_what_is_not_there() -> None:
+    none = np.zeros((0, 2))
+    d = np.zeros((2, 2))
+    drawn = Drawing(none.reshape(0, 2, 2), none, d, 0.0, none.reshape(0, 3, 2), 0.01)
+    assert [m.action for m in messages.drawing(drawn, 7, 'map').markers] == [Marker.DELETEALL]
 
 
 def test_markers_show_walls() -> None:

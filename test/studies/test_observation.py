@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from dataclasses import replace
 import json
 import math
 from pathlib import Path
@@ -82,15 +83,33 @@ def test_errors_are_measured_against_the_state_at_that_instant() -> None:
     assert watched.errors()['observed']['position'] == pytest.approx(math.sqrt(np.mean(squares)))
 
 
+def test_without_velocities_none_is_used() -> None:
+    """Velocities are estimated, far better than two noisy positions tell them."""
+    sensor = replace(SMALL, sensor=Sensor(position_noise=0.05))
+    found = run(0.05, sensor, time_limit=10.0, velocities=False)
+    assert found['errors']['estimated']['velocity'] < 0.1 * math.sqrt(2.0) * 0.05 / 0.1
+    whole = run(0.05, filtered(0.05), time_limit=10.0)
+    assert found['errors']['estimated']['velocity'] > whole['errors']['estimated']['velocity']
+    with pytest.raises(ValueError, match=r'position_noise must be above 0 where sheep have no'):
+        run(0.05, velocities=False)
+
+
 def results_of(
-    tmp_path: Path, times: dict[tuple[int, float, float], list[float | None]]
+    tmp_path: Path,
+    times: dict[tuple[int, float, float], list[float | None]],
+    alone: list[float | None] | None = None,
 ) -> Results:
-    """Return made-up results of the study by dogs, noise and expected noise; None: no arrival."""
+    """Return made-up results of the study by dogs, noise and expected noise; None: no arrival.
+
+    alone: times where velocities are not seen.
+    """
     entries = []
     for task in observation.tasks(Options()):
         given = task.parameters
         expected = given['settings'].get('sensor.position_noise', 0.0)
         given_times = times.get((given['dogs'], given['noise'], expected))
+        if not given.get('velocities', True):
+            given_times = alone
         if given_times is None or given['seed'] >= len(given_times):
             continue
         time = given_times[given['seed']]
@@ -124,7 +143,8 @@ def test_page_shows_the_results(tmp_path: Path) -> None:
     assert '| 2 | 0.1 | 20 of 20' in section.values['misjudged']
     assert section.values['failures'].count('| 0.05 | 0 | 2 |') == 2
     reached = [goal.reached for goal in section.goals]
-    assert reached == [True, True, None, None]  # nothing is known of five dogs
+    # Nothing is known of five dogs, and of positions alone.
+    assert reached == [True, True, None, None, None, None]
     (row,) = [row for row in section.rows if row.ours.startswith('62')]
     assert '18 of 20' in row.remark
 
@@ -134,7 +154,27 @@ def test_goals_can_be_missed(tmp_path: Path) -> None:
     slow: list[float | None] = [None, *(1.2 * time for time in exact[1:])]
     found = results_of(tmp_path, {(5, 0.0, 0.0): list(exact), (5, 0.05, 0.05): slow})
     goals = observation.draw(found, tmp_path).goals
-    assert [goal.reached for goal in goals] == [None, None, False, False]
+    assert [goal.reached for goal in goals] == [None, None, False, False, None, None]
+
+
+@pytest.mark.parametrize(
+    ('late', 'lost', 'reached'),
+    [(1.1, 1, [True, True]), (1.2, 2, [False, False]), (1.2, 0, [True, False])],
+)
+def test_positions_alone_are_compared_with_whole_states(
+    tmp_path: Path, late: float, lost: int, reached: list[bool]
+) -> None:
+    times = [50.0 + k for k in range(20)]
+    alone: list[float | None] = [None] * lost + [late * time for time in times[lost:]]
+    found = results_of(tmp_path, {(3, 0.05, 0.05): list(times)}, alone)
+    section = observation.draw(found, tmp_path)
+    assert [goal.reached for goal in section.goals][-2:] == reached
+    change = f'| +{round(100.0 * (late - 1.0))} ± 0 ({20 - lost}) |'
+    assert change in section.values['alone'].splitlines()[-1]
+    assert section.values['alone_failures'].count('| positions |') == lost
+    (row,) = section.rows
+    assert row.what.startswith('Positions alone')
+    assert 'velocities too: 59.5 (' in row.remark
 
 
 def test_the_same_flocks_with_and_without_filter() -> None:
@@ -143,4 +183,4 @@ def test_the_same_flocks_with_and_without_filter() -> None:
         rest = {key: value for key, value in task.parameters.items() if key != 'seed'}
         seeds.setdefault(json.dumps(rest), []).append(task.parameters['seed'])
     assert all(each == [0, 1, 2] for each in seeds.values())
-    assert len(seeds) == 2 * (1 + 2 * 3 + 2)
+    assert len(seeds) == 2 * (1 + 2 * 3 + 2) + 2  # and two ways to see with three dogs

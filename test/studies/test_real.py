@@ -94,6 +94,28 @@ def test_a_fit_predicts_drives_that_it_has_not_seen(data: Path) -> None:
     assert 0.3 < fitted['crowd']['noise'] < 1.2
 
 
+def test_what_is_known_in_advance_is_used_for_predictions(tmp_path: Path) -> None:
+    """Centres that accelerate, follow a dog's command, and their dog: each line knows the next."""
+    rng = np.random.default_rng(0)
+    dt, parts = 0.1, []
+    for _ in range(8):
+        pushes = np.repeat(rng.normal(size=(8, 2)), 50, axis=0)  # each lasts for 5 s
+        v = np.cumsum(dt * pushes, axis=0)
+        middle = np.cumsum(dt * v, axis=0)
+        x = middle[:, None] + rng.normal(0.0, 1.0, (SHEEP, 2))
+        dog = middle[:, None] + rng.normal(size=2)
+        parts.append(np.concatenate([x, dog, 0.0 * dog], axis=1))
+    path = tmp_path / 'drives.npz'
+    np.savez(path, x=np.concatenate(parts), frames=[len(p) for p in parts], dt=dt)
+    found = EXPERIMENTS['real_limits']('', list(range(8)), folds=4, path=str(path))
+    velocity, second, _, dog = (np.array(each) for each in found['centre'].values())
+    # Within 1 s a push of 1 m/s^2 adds 0.5 m in each coordinate; most of them last.
+    assert velocity[0] == pytest.approx(0.5 * np.sqrt(2.0), rel=0.25)
+    assert second[0] < 0.6 * velocity[0]
+    np.testing.assert_allclose(dog, 0.0, atol=1e-6)
+    assert found['sheep']['as they look later'][0] < found['sheep']['as known'][0]
+
+
 def test_the_recorded_dog_in_numbers(data: Path) -> None:
     found = EXPERIMENTS['real_drives']('', path=str(data))['drives']
     assert len(found) == 6
@@ -123,6 +145,9 @@ def made_up(task: Task) -> dict[str, Any]:
         drive = {'duration': 10.0, 'flock_path': 10.0, 'dog_path': 15.0, 'away': 9.0,
                  'dog_distance': 5.0, 'spread': 1.5}  # fmt: skip
         return {'drives': [drive, drive]}
+    if task.kind == 'real_limits':
+        return {'centre': {'its velocity': [0.4, 2.0, 4.0, 8.0]},
+                'sheep': {'as known': [0.5, 2.0, 4.0, 8.0]}}  # fmt: skip
     if task.kind == 'real_prediction':
         off = 1.0 if given['form'] == 'constant velocity' else 0.3
         drive = {'squares': [14.0 * off**2] * 4, 'sheep': [14] * 4, 'of_centre': [0.01] * 4,
@@ -168,6 +193,11 @@ def test_tables_and_goals(section: Section) -> None:
     assert '| constant velocity | 1.00 | 1.00 |' in section.values['held']
     assert '| not aligned | 0.00 | 0.00 |' in section.values['gain']
     assert '| 20.0 | 20.0 | 1.00 | 40.0 | 1.50 |' in section.values['drives']
+    assert section.values['limits'].splitlines()[2:] == [
+        '| the crowd `aligned` | 0.100 | 0.100 | 0.100 | 0.100 |',
+        '| its velocity | 0.400 | 2.00 | 4.00 | 8.00 |',
+    ]
+    assert '| as known | 0.500 |' in section.values['later']
     assert section.values['sizes'].startswith('1.20 m, where it is 1.00 m')
 
 
@@ -205,7 +235,7 @@ def test_without_data_the_rest_is_computed_and_said(
     )
     assert cli.main(['real', '--quick', '--jobs', '1', '--out', str(tmp_path)]) == 0
     said = ' '.join(capsys.readouterr().out.split())
-    assert '11 tasks are left out, since they need DATA' in said
+    assert '12 tasks are left out, since they need DATA' in said
     assert 'no results' in (tmp_path / 'real.md').read_text(encoding='utf-8')
 
 

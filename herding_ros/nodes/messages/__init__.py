@@ -4,12 +4,26 @@
 from herding_ros.checks import check_frame, check_stamp
 
 from .diagnostics import diagnostics
-from .received import command_in, dog_in, goal_in, Sheep, sheep_in, twist_in
+from .frames import Frames, LATEST, NoTransformError, Placement
+from .received import (
+    command_in,
+    dog_in,
+    goal_in,
+    grid_in,
+    outline_in,
+    Sheep,
+    sheep_in,
+    twist_in,
+)
 from .sent import cloud, command, odometry, trajectory, twist
 from .stamps import dog_frame, nanoseconds, stamp_of, turned
-from .visualisation import marker_array, path, pose
+from .visualisation import drawing, marker_array, path, pose
 
 __all__ = [
+    'LATEST',
+    'Frames',
+    'NoTransformError',
+    'Placement',
     'Sheep',
     'check_frame',
     'check_stamp',
@@ -19,10 +33,13 @@ __all__ = [
     'diagnostics',
     'dog_frame',
     'dog_in',
+    'drawing',
     'goal_in',
+    'grid_in',
     'marker_array',
     'nanoseconds',
     'odometry',
+    'outline_in',
     'path',
     'pose',
     'sheep_in',

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages -> arrays, from their bytes.
 
-All raise Refused on anything that must not move a dog; what is not read (a height, a covariance)
-may be anything, but for commands.
+What is in another frame is taken into ours where `frames` know the way. All raise Refused on
+anything that must not move a dog; what is not read (a height, a covariance) may be anything, but
+for commands.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ from typing import NamedTuple
 
 from herding_ros.checks import check_finite, check_frame, check_goal, check_size, Refused
 from herding_ros.model.state import Array
+from herding_ros.nodes.occupancy import Grid
 from herding_ros.nodes.wire import Reader
 from herding_ros.point_cloud import points
 import numpy as np
 from numpy.typing import NDArray
 
-from .stamps import dog_frame, turned
+from .frames import Frames, LATEST, Placement
+from .stamps import dog_frame, level_yaw, turned, yaw
 
 _ODOMETRY_NUMBERS = 7 + 36 + 6 + 36
 """Pose and twist, each with its covariance."""
@@ -25,14 +28,23 @@ _ODOMETRY_NUMBERS = 7 + 36 + 6 + 36
 _TO_VELOCITY = 7 + 36 + 2
 """Those up to the linear velocity along x and y."""
 
-_ROUNDING = 0.1
-"""By how much the squared length of a quaternion may differ from 1."""
-
 _COLUMNS = ('x', 'y', 'vx', 'vy')
 """What is read of a sheep besides its id."""
 
 _LARGEST_SINGLE = 1e6
 """Single precision resolves 6 cm there [m]: farther out it would not see a sheep move."""
+
+_MOST_CELLS = 10_000_000
+"""Cells of a map; 500 m x 500 m in cells of 0.16 m."""
+
+_FINEST, _COARSEST = 1e-3, 1e3
+"""Sides of cells of a map [m]: others are mistakes in the unit."""
+
+_OCCUPIED = 65
+"""Least per cent at which a cell of a map is occupied, as in map_server."""
+
+_LONGEST_OUTLINE = 100
+"""Corners of an obstacle."""
 
 _MOST_FIELDS = 64
 """Fields of a point cloud: each takes room and time, before the points are looked at."""
@@ -51,7 +63,13 @@ class Sheep(NamedTuple):
     is_velocity_seen: NDArray[np.bool_]
 
 
-def sheep_in(data: bytes, frame: str, most: int, needs_velocities: bool = True) -> Sheep:
+def sheep_in(
+    data: bytes,
+    frame: str,
+    most: int,
+    needs_velocities: bool = True,
+    frames: Frames | None = None,
+) -> Sheep:
     """Sheep in a PointCloud2, sorted by id; more than `most` are refused unseen.
 
     Fields x, y, vx, vy must be there as floats, in any order and with any others; vx and vy only
@@ -61,7 +79,7 @@ def sheep_in(data: bytes, frame: str, most: int, needs_velocities: bool = True) 
     """
     reader = Reader(data)
     ns, given = reader.header()
-    check_frame('sheep', given, frame)
+    place = _placement('sheep', given, frame, ns, frames)
     cloud = _point_cloud_in(reader, most)
     try:
         sheep = points(cloud)
@@ -93,6 +111,8 @@ def sheep_in(data: bytes, frame: str, most: int, needs_velocities: bool = True) 
         ids, values, is_velocity_seen = ids[in_sight], values[in_sight], is_velocity_seen[in_sight]
     check_size('sheep positions and velocities', float(values.min()), float(values.max()))
     _check_resolution(sheep.dtype, names, values)
+    if place is not None:
+        values = np.hstack([place.points(values[:, :2]), place.vectors(values[:, 2:])])
     if not (ids[1:] > ids[:-1]).all():
         order = np.argsort(ids)
         ids, values, is_velocity_seen = ids[order], values[order], is_velocity_seen[order]
@@ -161,14 +181,15 @@ def _point_cloud_in(reader: Reader, most: int) -> _PointCloud:
     is_bigendian, point_step, row_step = reader.numbers('?xxxII')
     points_data = reader.sequence()
     is_dense = reader.flag()
-    if reader.left > 3:  # a message may be filled up to a multiple of four
-        raise Refused('malformed', f'at most 3 bytes must follow is_dense, got {reader.left}')
+    _check_end(reader, 'is_dense')
     return _PointCloud(
         height, width, fields, is_bigendian, point_step, row_step, points_data, is_dense
     )
 
 
-def dog_in(data: bytes, frame: str) -> tuple[int, Array, float, Array]:
+def dog_in(
+    data: bytes, frame: str, frames: Frames | None = None
+) -> tuple[int, Array, float, Array]:
     """Time [ns], position (2,) [m], heading [rad] and velocity (2,) [m/s] in an Odometry.
 
     The velocity is turned from the dog's axes into those of the map; it may be anything, since
@@ -176,20 +197,16 @@ def dog_in(data: bytes, frame: str) -> tuple[int, Array, float, Array]:
     """
     reader = Reader(data)
     ns, given = reader.header()
-    check_frame('odometry', given, frame)
+    place = _placement('odometry', given, frame, ns, frames)
     reader.string()  # the child frame
     numbers = reader.doubles(_ODOMETRY_NUMBERS, _TO_VELOCITY)
-    d_x, d_y, _, x, y, z, w = numbers[:7]
-    check_size('dog position and orientation', d_x, d_y, x, y, z, w)
-    if not abs(x * x + y * y + z * z + w * w - 1.0) <= _ROUNDING:
-        raise Refused(
-            'not a rotation',
-            f'the orientation must have length 1, got ({x:g}, {y:g}, {z:g}, {w:g})',
-        )
-    # Does not depend on the length, so that nothing has to be normalised.
-    heading = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    d_x, d_y, _, *rotation = numbers[:7]
+    check_size('dog position and orientation', d_x, d_y, *rotation)
+    position, heading = np.array([d_x, d_y]), yaw(*rotation)
+    if place is not None:
+        (position,), heading = place.points(position[None]), place.heading(heading)
     velocity = turned(np.array(numbers[-2:]), -heading)
-    return ns, np.array([d_x, d_y]), heading, np.array(velocity)
+    return ns, position, heading, np.array(velocity)
 
 
 def command_in(
@@ -229,10 +246,101 @@ def _velocity_in(reader: Reader, max_speed: float, ahead: float | None) -> Array
     return np.array([x, y])
 
 
-def goal_in(data: bytes, frame: str) -> Array:
+def goal_in(data: bytes, frame: str, frames: Frames | None = None) -> Array:
     """Destination (2,) [m] in a PoseStamped."""
     reader = Reader(data)
     _, given = reader.header()
     x, y = reader.doubles(7, 2)
-    check_goal(given, x, y, frame)
-    return np.array([x, y])
+    if given == frame or frames is None:
+        check_goal(given, x, y, frame)
+        return np.array([x, y])
+    check_goal(frame, x, y, frame)
+    (goal,) = frames.placement('goal', given, LATEST).points(np.array([[x, y]]))
+    return goal
+
+
+def grid_in(data: bytes, frame: str, frames: Frames | None = None) -> Grid:
+    """Map in an OccupancyGrid; cells of 65 per cent and more are occupied.
+
+    Unknown cells (-1) are free: a map of a field seldom knows what is behind a fence.
+    """
+    reader = Reader(data)
+    _, given = reader.header()
+    place = _placement('map', given, frame, LATEST, frames)
+    _, _, resolution, width, height = reader.numbers('iIfII')
+    x, y, _, *rotation = reader.some_doubles(7)
+    cells = np.frombuffer(reader.sequence(), np.int8)
+    _check_end(reader, 'data')
+    if not width * height:
+        raise Refused('empty', f'a map must have cells, got {width} x {height}')
+    if width * height > _MOST_CELLS:
+        raise Refused(
+            'too large',
+            f'a map must have at most {_MOST_CELLS} cells, got {width} x {height}; make it '
+            'coarser',
+        )
+    if len(cells) != width * height:
+        raise Refused(
+            'malformed',
+            f'a map must have as many cells as width x height, {width} x {height}, '
+            f'got {len(cells)}',
+        )
+    check_size('size and place of a map', resolution * max(width, height), x, y, *rotation)
+    if not _FINEST <= resolution <= _COARSEST:
+        raise Refused(
+            'not allowed',
+            f'cells of a map must be {_FINEST:g} to {_COARSEST:g} m wide, got {resolution:g} m',
+        )
+    least, most = int(cells.min()), int(cells.max())
+    if least < -1 or most > 100:
+        raise Refused(
+            'not allowed', f'cells of a map must be from -1 to 100, got {least} to {most}'
+        )
+    turn = level_yaw('a map', *rotation)
+    if place is not None:
+        ((x, y),), turn = place.points(np.array([[x, y]])).tolist(), place.heading(turn)
+    return Grid(cells.reshape(height, width) >= _OCCUPIED, resolution, x, y, turn)
+
+
+def outline_in(
+    data: bytes, frame: str, frames: Frames | None = None
+) -> tuple[tuple[float, float], ...]:
+    """Corners [m] of the obstacle in a PolygonStamped; none if there are none."""
+    reader = Reader(data)
+    _, given = reader.header()
+    place = _placement('obstacle', given, frame, LATEST, frames)
+    (count,) = reader.numbers('I')
+    if count > _LONGEST_OUTLINE:
+        raise Refused(
+            'too large', f'an obstacle must have at most {_LONGEST_OUTLINE} corners, got {count}'
+        )
+    numbers = reader.numbers(f'{3 * count}f') if count else ()
+    _check_end(reader, 'the points')
+    corners = tuple(zip(numbers[::3], numbers[1::3], strict=True))
+    check_size('corners of an obstacle', *numbers[::3], *numbers[1::3])
+    size = max(map(abs, (*numbers[::3], *numbers[1::3])), default=0.0)
+    if size > _LARGEST_SINGLE:
+        raise Refused(
+            'too large',
+            f'corners of an obstacle must be at most {_LARGEST_SINGLE:g} m, got {size:g}: they '
+            'come in single precision',
+        )
+    if place is not None and corners:
+        corners = tuple((x, y) for x, y in place.points(np.array(corners)).tolist())
+    return corners
+
+
+def _placement(
+    what: str, given: str, frame: str, ns: int, frames: Frames | None
+) -> Placement | None:
+    """Return where a message's frame lies in ours at a time [ns]; None if it is ours."""
+    if given == frame or frames is None:
+        check_frame(what, given, frame)
+        return None
+    return frames.placement(what, given, ns)
+
+
+def _check_end(reader: Reader, last: str) -> None:
+    """Refuse what does not end; a message may be filled up to a multiple of four bytes."""
+    if reader.left > 3:
+        raise Refused('malformed', f'at most 3 bytes must follow {last}, got {reader.left}')

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
 from herding_ros.model.state import Array
+from herding_ros.nodes.drawing import Drawing
 from nav_msgs.msg import Path
 import numpy as np
 from std_msgs.msg import ColorRGBA, Header
@@ -48,18 +49,52 @@ def marker_array(
     )
     if walls is not None and len(walls):
         shapes += (('walls', Marker.LINE_LIST, black, 0.4 * size, walls.reshape(-1, 2)),)
-    return MarkerArray(
-        markers=[
-            Marker(
-                header=Header(stamp=stamp_of(ns), frame_id=frame),
-                ns=name,
-                type=kind,
-                action=Marker.ADD,
-                pose=Pose(orientation=Quaternion(w=1.0)),
-                scale=Vector3(x=width, y=width, z=width),
-                color=color,
-                points=[Point(x=x, y=y) for x, y in vertices.tolist()],
-            )
-            for name, kind, color, width, vertices in shapes
-        ]
+    return MarkerArray(markers=[_marker(*shape, ns, frame) for shape in shapes])
+
+
+def drawing(drawn: Drawing, ns: int, frame: str) -> MarkerArray:
+    """What the controller has decided, in place of all that was shown of it before.
+
+    Walls in black, the flock's route in green, and around each dog a disc that touches another
+    when the two are as near as they may be. Where a command was changed, a grey line leads from
+    the dog to where the plan would have led it, and a red arrow from there to where it is told to
+    go.
+    """
+    black, green = ColorRGBA(a=1.0), ColorRGBA(r=0.1, g=0.6, b=0.2, a=1.0)
+    grey, red = ColorRGBA(r=0.5, g=0.5, b=0.5, a=1.0), ColorRGBA(r=0.9, g=0.1, b=0.1, a=1.0)
+    pale = ColorRGBA(r=0.9, g=0.1, b=0.1, a=0.2)
+    asked, width = drawn.changes[:, :2], drawn.width
+    shapes = (
+        ('walls', Marker.LINE_LIST, black, width, drawn.walls),
+        ('route', Marker.LINE_STRIP, green, width, drawn.route),
+        ('asked', Marker.LINE_LIST, grey, width, asked),
+        ('separation', Marker.SPHERE_LIST, pale, drawn.separation, drawn.dogs),
+    )
+    markers = [
+        _marker(name, kind, color, size, points.reshape(-1, 2), ns, frame)
+        for name, kind, color, size, points in shapes
+        if len(points) and size
+    ]
+    for number, change in enumerate(drawn.changes):
+        arrow = _marker('told', Marker.ARROW, red, 2.0 * width, change[1:], ns, frame, number)
+        arrow.scale.x, arrow.scale.z = width, 0.0  # its shaft; a head as long as RViz likes
+        markers.append(arrow)
+    fresh = Marker(header=Header(stamp=stamp_of(ns), frame_id=frame), action=Marker.DELETEALL)
+    return MarkerArray(markers=[fresh, *markers])
+
+
+def _marker(
+    name: str, kind: int, color: ColorRGBA, width: float, points: Array, ns: int, frame: str,
+    number: int = 0,
+) -> Marker:  # fmt: skip
+    return Marker(
+        header=Header(stamp=stamp_of(ns), frame_id=frame),
+        ns=name,
+        id=number,
+        type=kind,
+        action=Marker.ADD,
+        pose=Pose(orientation=Quaternion(w=1.0)),
+        scale=Vector3(x=width, y=width, z=width),
+        color=color,
+        points=[Point(x=x, y=y) for x, y in points.tolist()],
     )

@@ -95,6 +95,7 @@ def run(
     snapshots: Sequence[float] = (),
     strays: int = 0,
     start: str = 'usual',
+    velocities: bool = True,
 ) -> dict[str, Any]:
     """Herd a flock by a policy and return the run in numbers.
 
@@ -104,7 +105,8 @@ def run(
     noise: of all observations [m and m/s], by default that of World; crowd: name of a preset;
     stop: end with the arrival; every: spacing of the stored course [s]; snapshots: instants [s];
     strays: number of sheep that may be left behind; start: one of those of `arranged`, which the
-    spread at the arrival is not compared with, but with the usual one.
+    spread at the arrival is not compared with, but with the usual one; velocities: whether a
+    planner sees those of the sheep.
     The flock and its random forces depend on the seed alone.
     """
     herd = replace(CROWDS[crowd], noise=sigma, common_noise=common_noise)
@@ -118,7 +120,7 @@ def run(
     if policy == 'planner':
         control = Control().with_values({'mapping.paths': paths, **settings})
         pilot = LockstepPilot(RecedingHorizon(herd, control, destination, seed), dogs)
-        decide = as_policy(pilot, reports)
+        decide = as_policy(pilot, reports, velocities)
     elif policy == 'strombom':
         decide = Strombom(destination, np.random.default_rng([seed, 30_000]), **settings)
     elif policy == 'none':

@@ -51,7 +51,7 @@ FORMS: dict[str, Crowd] = {
 _HELD = ('crowd.sheep.attraction_length',)
 """Errors of predictions do not tell it. Recorded flocks lose no sheep, so it is long."""
 
-_SENSOR = Sensor(position_noise=1e-3, velocity_noise=1.0)
+SENSOR = Sensor(position_noise=1e-3, velocity_noise=1.0)
 """Recorded positions are taken as they are: smoothing them made predictions worse."""
 
 OTHER = Crowd(
@@ -64,6 +64,13 @@ PLANTS = {'as fitted': CROWDS['sheep'], 'not aligned': OTHER}
 
 MAX_SPEED = 4.0
 """Of the dogs that herd [m/s]."""
+
+HOME = 2.0
+"""A flock has arrived when its centre is so near to the goal [m].
+
+That is about its size. Within 3 s its centre is off any prediction by as much, so that nobody
+could steer it into less.
+"""
 
 _BEHIND = 1.0
 """Distance r_a of the rule [m]."""
@@ -126,11 +133,11 @@ def predicted(
     if form == STRAIGHT:
         crowd = constant_velocity(_START.noise)
     else:
-        crowd = fit_predictions(known, FORMS[form], _SENSOR, _HELD)
-        crowd = with_noise(crowd, known, _SENSOR) if noise else crowd
+        crowd = fit_predictions(known, FORMS[form], SENSOR, _HELD)
+        crowd = with_noise(crowd, known, SENSOR) if noise else crowd
     result: dict[str, Any] = {
         'crowd': {k: v for k, v in crowd.flat().items() if isinstance(v, float)},
-        'drives': [_errors(Predictor([every[i]]).predict(crowd, _SENSOR)) for i in test],
+        'drives': [_errors(Predictor([every[i]]).predict(crowd, SENSOR)) for i in test],
     }
     if noise:
         result['sizes'] = Predictor([every[i] for i in test]).sizes(crowd)
@@ -188,7 +195,13 @@ def herding(
     told, destination = CROWDS['sheep'], np.array(goal)
     scale = Scale.of(told, MAX_SPEED)
     world = scale.apply(World()).with_values(
-        {'sheep': sheep, 'dogs': dogs, 'seed': seed, 'max_speed': MAX_SPEED}
+        {
+            'sheep': sheep,
+            'dogs': dogs,
+            'seed': seed,
+            'max_speed': MAX_SPEED,
+            'arrival.radius': HOME,
+        }
     )
     field = Simulation(PLANTS[plant], world, destination)
     if policy == 'rule':
