@@ -157,6 +157,23 @@ GOALS = (
         lambda results: results.values('without_solving', 'herd', herded=10_000),
     ),
     Goal(
+        'Page of the view, without a graphics card: time until a herd is seen',
+        2.0,
+        lambda results: results.values('until_seen', 'view', herded=30),
+        ' s',
+        at_least=False,
+    ),
+    Goal(
+        'The same: pictures a second of 30 sheep',
+        15.0,
+        lambda results: results.values('rates', 'view', herded=30),
+    ),
+    Goal(
+        'The same: pictures a second of 10⁴ sheep',
+        5.0,
+        lambda results: results.values('rates', 'view', herded=10_000),
+    ),
+    Goal(
         'Value and gradient from N = 100 to N = 1000, M = 5: exponent of N',
         2.0,
         growth,

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 import json
 import os
 from pathlib import Path
-import shutil
 import subprocess
 import sys
 from typing import Any
 
+from benchmark.browser import chromium
 from herding_ros.bag.writer import BagWriter
 from herding_ros.model.state import HerdState
 from hypothesis import settings
@@ -229,26 +229,9 @@ def random_herd() -> Callable[..., HerdState]:
 
 @pytest.fixture(scope='session')
 def browser() -> Iterator[Any]:
-    """A Chromium without a window, which reaches nothing but this machine: a WebDriver."""
-    webdriver = pytest.importorskip(
-        'selenium.webdriver', reason='needs selenium: pip install -r requirements-browser.lock'
-    )
-    program, driver = shutil.which('chromium'), shutil.which('chromedriver')
-    if program is None or driver is None:
-        pytest.skip('needs Chromium: apt-get install chromium chromium-driver')
-    options = webdriver.ChromeOptions()
-    options.binary_location = program
-    options.page_load_strategy = 'none'
-    for argument in (
-        'headless=new', 'no-sandbox', 'disable-dev-shm-usage', 'window-size=1200,800',
-        'use-angle=swiftshader', 'enable-unsafe-swiftshader',
-        'host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1',
-    ):  # fmt: skip
-        options.add_argument(f'--{argument}')
-    options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
-    one = webdriver.Chrome(options, webdriver.ChromeService(driver))
-    yield one
-    one.quit()
+    """A Chromium without a window: a WebDriver."""
+    with chromium() as one:
+        yield one
 
 
 @pytest.fixture

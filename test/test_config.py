@@ -152,7 +152,8 @@ def shown(name: str) -> set[str]:
             '/diagnostics' if re.match(statuses, each) else each.partition('/pose')[0]
             for each in curves
         }
-    return set(re.findall(r'Value: (/\S+)', text)) - {'/goal_pose'}
+    of_others = {'/goal_pose', '/map', '/map_updates'}  # where people click, and a map server's
+    return set(re.findall(r'Value: (/\S+)', text)) - of_others
 
 
 @pytest.mark.parametrize(

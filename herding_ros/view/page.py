@@ -295,6 +295,7 @@ class _Scene:
             self._handles['dogs'] = self._scene.add_batched_meshes_simple(
                 '/dogs', 1.5 * self._size * _DOG, np.array([[0, 1, 2]]), turns, at,
                 batched_colors=_LIT_RED, side='double', lod='off',
+                material='toon3',  # a few lines of shader: the standard one has a thousand
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
             return

@@ -9,6 +9,7 @@ import sys
 from typing import Any
 
 from herding_ros.model.field import read_field
+from herding_ros.report import cli
 from herding_ros.report.curves import curves
 from herding_ros.report.rerun_recording import save_rerun, TIMELINE
 from herding_ros.report.walls import outlines
@@ -121,6 +122,17 @@ def test_run_without_plans_and_destination_is_saved(read: Any) -> None:
     entities = {entity for entity, _ in read(run).rows}
     assert {'/herd/sheep', '/herd/dog_1', '/herd/centre'} <= entities
     assert not {'/herd/destination', '/herd/dog_1/plan'} & entities
+
+
+def test_program_writes_it_beside_the_rest(tmp_path: Path, run_recorder: Any) -> None:
+    pytest.importorskip('rerun', reason='rerun-sdk is not installed')
+    with run_recorder(tmp_path / 'bag') as recorder:
+        for k in range(3):
+            recorder.sheep('/truth/sheep', k * 10**9, [(0.1 * k, 2.0)], [(0.1, 0.0)])
+    assert cli.main([str(tmp_path / 'bag'), '--rerun', str(tmp_path / 'run.rrd')]) == 0
+    rows = Read(tmp_path / 'run.rrd').rows['/herd/sheep', 'positions']
+    assert [time for time, _ in rows] == [0.0, 1.0, 2.0]
+    assert np.allclose([places for _, places in rows], [[(0.1 * k, 2.0, 0.0)] for k in range(3)])
 
 
 def test_who_has_no_rerun_is_told_what_to_install(
