@@ -90,8 +90,8 @@ class Controller(HerdingNode):
         self._draughtsman = Draughtsman()
         self._mismatches = Mismatches(self)
         self._create_publishers()
-        self.follow([('crowd.', crowd), ('', control)], self._adjust)
         self._field = field_of(crowd)
+        self.follow([('crowd.', crowd), ('', control)], self._adjust)
         self._frames = messages.Frames.of(self, settings.frame)
         self._maps = Maps(
             self, settings.frame, self._frames, self._field, self._take_field, self._prepare,

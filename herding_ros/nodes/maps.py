@@ -24,8 +24,8 @@ from .refusals import Refusals
 
 MAP, OBSTACLE = 'map', 'field/obstacle'
 
-_LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""A map is published once, as a rule long before the controller starts."""
+_DEPTHS = {MAP: 1, OBSTACLE: 100}
+"""Of all messages that are kept for us the newest map counts, and each obstacle."""
 
 _MOST_WAITING = 100
 """Obstacles that wait to be taken in."""
@@ -87,8 +87,9 @@ class Maps:
         self._again: Timer | None = None
         self._busy = False
         for kind, topic in ((OccupancyGrid, MAP), (PolygonStamped, OBSTACLE)):
-            receive = partial(self._receive, topic)
-            node.create_subscription(kind, topic, receive, _LATCHED, raw=True)
+            # A map is published once, as a rule long before the controller starts.
+            qos = QoSProfile(depth=_DEPTHS[topic], durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            node.create_subscription(kind, topic, partial(self._receive, topic), qos, raw=True)
 
     def _receive(self, topic: str, data: bytes) -> None:
         """Take in a message; one whose transform is not there yet is tried again."""
@@ -162,6 +163,8 @@ class Maps:
             self._prepare(field)
         except ValueError as error:
             return self._seen, None, error
+        except Exception as error:  # of a library: it must not end the work on all later ones
+            return self._seen, None, ValueError(f'it could not be taken in: {error!r}')
         return seen, field, None
 
     def _finish(

@@ -36,9 +36,6 @@ what it is; by the second, above sqrt(2), all others do, too.
 _TOUCH = 1e-3
 """Cells that touch at a corner are joined by so much [cells]."""
 
-_MITRE = 1.5
-"""Corners of walls that are made thicker stick out by so many times as much at most."""
-
 
 @dataclass(frozen=True)
 class Grid:
@@ -82,7 +79,7 @@ def walls_of(grid: Grid) -> Walls:
     """Return walls that hold all occupied cells.
 
     They are obstacles, or fences along the outlines of what has holes. Stairs of cells become
-    straight, which makes a wall thicker by less than a cell. Where more than MOST_PIECES straight
+    straight, which makes a wall up to three cells thicker. Where more than MOST_PIECES straight
     pieces are left, the map is made coarser, and so walls thicker: a block of cells is occupied
     if one of them is. Raises Refused where blocks of 16 x 16 do not suffice.
     """
@@ -131,7 +128,7 @@ def _simplified(part: Geometry) -> Geometry:
         simple = part.simplify(tolerance)
         out = shapely.distance(corners, simple).max()
         if out > 0.0:
-            simple = simple.buffer(out + _TOUCH, join_style='mitre', mitre_limit=_MITRE)
+            simple = simple.buffer(out + _TOUCH, join_style='bevel')
         count = shapely.get_num_coordinates(simple)
         if times * count <= least and simple.covers(part):
             best, least = simple, count

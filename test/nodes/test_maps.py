@@ -187,6 +187,20 @@ def test_while_one_is_worked_on_the_newest_map_waits() -> None:
     assert both.obstacles == (*last.obstacles, TRIANGLE)
 
 
+def test_a_failure_is_said_and_later_ones_are_taken_in() -> None:
+    live = Live()
+
+    def fail(field: Field) -> None:
+        raise RuntimeError('no compiler')
+
+    live.maps._prepare = fail
+    live.show(OBSTACLE, an_obstacle(*SQUARE))
+    assert "could not be taken in: RuntimeError('no compiler')" in live.log.lines[0]
+    live.maps._prepare = live.prepared.append
+    live.show(OBSTACLE, an_obstacle(*TRIANGLE))
+    assert [field.obstacles for field in live.fields] == [(TRIANGLE,)]
+
+
 def test_a_map_that_is_made_coarser_is_said() -> None:
     live = Live()
     live.show(MAP, a_map(100 * (np.random.default_rng(0).random((60, 60)) < 0.5)))

@@ -16,8 +16,12 @@ import pytest
 import shapely
 
 Cells = NDArray[np.bool_]
-THICKER = 3.6
-"""By so much a wall may be thicker than its cells [cells]."""
+THICKER = 1.5 + 1.5
+"""By so much a wall may be thicker than its cells [cells].
+
+A corner that is left out stood out by 1.5 at most: so far the wall may lie outside, and by as
+much it is made thicker.
+"""
 
 
 def inside(walls: Walls) -> shapely.Geometry:
@@ -49,7 +53,7 @@ def check(grid: Grid) -> Walls:
         near = shapely.distance(in_walls[:, None], occupied).min(axis=1)
         # Blocks of cells may begin so many cells before an occupied one, along each side.
         more = (walls.coarsened - 1) * math.sqrt(2.0)
-        thickness = THICKER * walls.coarsened + more
+        thickness = THICKER * walls.coarsened + more + math.sqrt(0.5)  # from a cell's middle
         assert near.max() <= thickness * grid.resolution
     assert len(walls.added_to(Field()).bars) <= MOST_PIECES
     return walls
@@ -118,7 +122,7 @@ def test_a_slanting_wall_is_a_few_pieces(angle: float) -> None:
     cells = (np.abs(across) < 1.0) & (along > 0.0) & (along < 300.0)
     walls = walls_of(Grid(cells, 0.05, 0.0, 0.0, 0.0))
     assert walls.coarsened == 1
-    assert len(walls.added_to(Field()).bars) < 12
+    assert len(walls.added_to(Field()).bars) < 20  # of hundreds of stairs
 
 
 def test_a_hole_in_a_wall_stays_free() -> None:
