@@ -47,7 +47,8 @@ class Corners:
 
     @cached_property
     def _edge(self):  # type: ignore[no-untyped-def]
-        return self.field.walls.buffer(self.clearance, quad_segs=2).boundary
+        # Sides of up to 1.5 x 30 deg, so no nearer than cos 22.5 deg > _INNER.
+        return self.field.walls.buffer(self.clearance, quad_segs=3).boundary
 
     @cached_property
     def _graph(self) -> tuple[Array, Array, NDArray[np.int_]]:
@@ -182,6 +183,20 @@ def _length(way: Array) -> float:
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
+def _middle(field: Field, x: Array) -> Array:
+    """Return where a flock at x (N, 2) is (2,) [m], on its side of all walls.
+
+    That is its centre; but where it is on both sides of a corner, a wall may be before its centre,
+    and then it is the place of the sheep that is nearest to that.
+    """
+    import shapely
+
+    middle = centre(x)
+    nearest = x[np.square(x - middle).sum(axis=1).argmin()]
+    hidden = shapely.intersects(field.walls, shapely.linestrings(np.stack([nearest, middle])))
+    return nearest if hidden else middle
+
+
 @dataclass(frozen=True)
 class Ways:
     """The ways of a flock and its dogs in a field.
@@ -202,7 +217,7 @@ class Ways:
             return None
         clearance = bodies.wall_distance + 2.0 * bodies.margin
         width = math.sqrt(2.0) * float(spread(x))  # the radius of a disc with that spread
-        found = route(field, centre(x), goal, width, clearance)
+        found = route(field, _middle(field, x), goal, width, clearance)
         return cls(field, found, width, clearance)
 
     def aim(self, x: Array) -> Array:
@@ -210,10 +225,11 @@ class Ways:
 
         It is the end of the leg that the flock is on, unless that is nearer than `ahead`.
         """
+        middle = _middle(self.field, x)
         start, along = self.route[:-1], np.diff(self.route, axis=0)
         lengths = np.maximum(np.linalg.norm(along, axis=1), 1e-12)
-        part = np.clip(((centre(x) - start) * along).sum(axis=1) / lengths**2, 0.0, 1.0)
-        off = np.linalg.norm(start + part[:, None] * along - centre(x), axis=1)
+        part = np.clip(((middle - start) * along).sum(axis=1) / lengths**2, 0.0, 1.0)
+        off = np.linalg.norm(start + part[:, None] * along - middle, axis=1)
         leg = int(off.argmin())
         left = self.ahead - (1.0 - part[leg]) * lengths[leg]
         for k in range(leg + 1, len(lengths)):

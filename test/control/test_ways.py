@@ -2,10 +2,13 @@
 import math
 import re
 
-from herding_ros.control.parameters import Bodies
+from herding_ros.control.parameters import Bodies, Control
 from herding_ros.control.reference import reference
+from herding_ros.control.scale import Scale
 from herding_ros.control.ways import Corners, route, Ways
-from herding_ros.model.field import Field
+from herding_ros.model.crowd import CROWDS
+from herding_ros.model.field import Field, read_field, shipped_fields
+from herding_ros.model.simulation import World
 from herding_ros.model.state import Array
 import numpy as np
 import pytest
@@ -107,3 +110,28 @@ def test_dogs_go_round_walls_to_their_posts() -> None:
 
 def test_without_walls_there_are_no_ways() -> None:
     assert Ways.of(Field(goal=((1.0, 1.0),)), Bodies(), np.zeros((2, 2)), GOAL) is None
+
+
+@pytest.mark.parametrize('name', shipped_fields())
+def test_every_flock_within_a_field_has_a_route(name: str) -> None:
+    """Wherever its sheep are, beside a wall, or with one before the centre of two clusters."""
+    field, given = read_field(name)
+    crowd = CROWDS[given.get('crowd.preset', 'cohesive')]
+    scale = Scale.of(crowd, given.get('max_speed', World.max_speed))
+    bodies = scale.apply(Control()).bodies
+    assert field.place is not None
+    around = shapely.box(*field.walls.bounds).buffer(1.0)
+    parts = shapely.get_parts(around.difference(field.walls.buffer(1e-3 * field.range)))
+    room = next(part for part in parts if part.contains(shapely.Point(field.place)))
+    low, high = np.reshape(room.bounds, (2, 2))
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        places = rng.uniform(low, high, (400, 2))
+        places = places[shapely.contains_xy(room, places)]
+        clusters = places[:2]
+        nearest = np.argsort(np.linalg.norm(places[:, None] - clusters, axis=2).min(axis=1))
+        x = places[nearest[: rng.integers(1, 15)]]
+        ways = Ways.of(field, bodies, x, field.place)
+        assert ways is not None
+        assert not shapely.LineString(ways.route).intersects(field.walls)
+        assert np.isfinite(ways.aim(x)).all()
