@@ -132,9 +132,13 @@ class Corners:
         if not self._blocked.intersects(here):
             return point[None]
         line = shapely.shortest_line(here, self._edge)
-        if line is None or line.intersects(self.field.walls):
+        if line is not None and not line.intersects(self.field.walls):
+            return shapely.get_coordinates(line)
+        corners, _, _ = self._graph
+        away = self._straight(point[None], corners)[0]
+        if not np.isfinite(away).any():
             return None
-        return shapely.get_coordinates(line)
+        return np.stack([point, corners[away.argmin()]])
 
 
 def _cross(shape, a: Array, b: Array) -> NDArray[np.bool_]:  # type: ignore[no-untyped-def]

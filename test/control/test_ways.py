@@ -135,3 +135,25 @@ def test_every_flock_within_a_field_has_a_route(name: str) -> None:
         assert ways is not None
         assert not shapely.LineString(ways.route).intersects(field.walls)
         assert np.isfinite(ways.aim(x)).all()
+
+
+def test_every_flock_in_a_random_field_has_a_route() -> None:
+    """To wherever a wide enough way leads from where its sheep are."""
+    rng = np.random.default_rng(11)
+    for _ in range(40):
+        obstacles = []
+        for _ in range(rng.integers(1, 7)):
+            angle = np.sort(rng.uniform(0.0, 2.0 * np.pi, rng.integers(3, 8)))
+            circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            obstacles.append(rng.uniform(-1.5, 1.5, 2) + rng.uniform(0.1, 0.4) * circle)
+        steps = rng.normal(0.0, 0.3, (4, 2))
+        fence = rng.uniform(-1.5, 1.5, 2) + np.cumsum(steps, axis=0)
+        field = Field(obstacles=[each.tolist() for each in obstacles], fences=[fence.tolist()])
+        free = shapely.box(-2.2, -2.2, 2.2, 2.2).difference(field.walls.buffer(0.11))
+        room = max(shapely.get_parts(free), key=lambda part: part.area)
+        for _ in range(5):
+            places = rng.uniform(-2.0, 2.0, (200, 2))
+            places = places[shapely.contains_xy(room, places)]
+            ways = Ways.of(field, Bodies(), places[: rng.integers(1, 12)], places[-1])
+            assert ways is not None
+            assert not shapely.LineString(ways.route).intersects(field.walls)
