@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from herding_ros.model.flock import centre
+from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,8 @@ class Errands:
     inner: distance [m] from there within which a sheep needs no fetching; around: radius [m] of
     the disc around it that dogs do not cross; standoff, reach: see `Reach`; via: (k, 2) [m] where
     a stray is led first that has a wall before it, else NaN; rest: (k,) [m] how long its way is
-    from there.
+    from there; drivers: (j,) dogs that go behind the flock, where most are before it; ahead: (2,)
+    unit vector to the goal.
     """
 
     together: NDArray[np.bool_]
@@ -48,6 +50,8 @@ class Errands:
     reach: float
     via: Array
     rest: Array
+    drivers: NDArray[np.int_]
+    ahead: Array
 
     @classmethod
     def of(cls, reach: Reach, state: HerdState, goal: Array, ways: Ways | None = None) -> Errands:
@@ -57,6 +61,7 @@ class Errands:
         flock so scattered that dogs do not feel across it, each sheep is driven to the goal
         (2,) [m] by itself. If there are more strays than dogs, each dog fetches, of those that
         are nearer to it than to others, the farthest. Among walls strays are led along `ways`.
+        Where most dogs are before the flock, in the open, these go behind it.
         """
         x, d = state.x, state.dogs
         middle = _middle(x)
@@ -81,9 +86,14 @@ class Errands:
         posts = behind_each(x[strays], np.where(np.isnan(via), place, via), reach.standoff)
         lengths = detour(d[:, None] - place, posts[None] - place, around)[0]
         dogs, found = _assign(lengths, np.linalg.norm(x[strays] - place, axis=1))
+        left = float(np.linalg.norm(goal - place))
+        ahead = (goal - place) / max(left, TINY)
+        drivers = np.flatnonzero((d - place) @ ahead > 0.0)
+        if individually or ways is not None or left <= around or 2 * len(drivers) <= len(d):
+            drivers = drivers[:0]
         return cls(
             together, dogs, strays[found], goal if individually else None, inner, around,
-            reach.standoff, reach.reach, via[found], rest[found],
+            reach.standoff, reach.reach, via[found], rest[found], drivers, ahead,
         )  # fmt: skip
 
     def place(self, x: Array) -> Array:

@@ -16,6 +16,7 @@ from herding_ros.control.ways import Ways
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.field import Field
+from herding_ros.model.flock import centre
 from herding_ros.model.potentials import Morse
 from herding_ros.model.state import HerdState
 import numpy as np
@@ -109,6 +110,37 @@ def test_derivatives_of_the_cost_to_go(strays: int, dogs: int) -> None:
     played = rollout(Crowd(), state, u, 0.1)
     cost = CostToGo(Errands.of(REACH, state, GOAL), 3.0, 0.05)
     assert min(taylor_orders(cost, played, u, np.random.default_rng(1))) > 1.9
+
+
+def before_the_flock(dogs: int, strays: int = 0) -> HerdState:
+    """A herd with all its dogs, and what strays there are, on the side of the goal."""
+    state, n = herd(strays, dogs, 3), np.arange(dogs)
+    x = state.x.copy()
+    x[:strays] = np.abs(x[:strays])
+    d = 1.6 * np.stack([np.cos(0.5 + 0.3 * n), np.sin(0.5 + 0.3 * n)], axis=1)
+    return HerdState(x, state.v, d)
+
+
+@pytest.mark.parametrize(('strays', 'dogs'), [(0, 3), (1, 3)])
+def test_derivatives_of_the_way_behind_the_flock(strays: int, dogs: int) -> None:
+    state = before_the_flock(dogs, strays)
+    errands = Errands.of(REACH, state, GOAL)
+    assert len(errands.drivers) == dogs
+    u = np.random.default_rng(0).normal(0.0, 0.05, (6, dogs, 2))
+    played = rollout(Crowd(), state, u, 0.1)
+    cost = CostToGo(errands, 3.0, 0.05)
+    assert min(taylor_orders(cost, played, u, np.random.default_rng(1))) > 1.9
+
+
+def test_dogs_go_behind_the_flock_where_most_are_before_it() -> None:
+    state = before_the_flock(3)
+    assert list(Errands.of(REACH, state, GOAL).drivers) == [0, 1, 2]
+    one_behind = replace(state, d=np.concatenate([state.d[:2], -state.d[2:]]))
+    assert list(Errands.of(REACH, one_behind, GOAL).drivers) == [0, 1]
+    two_behind = replace(state, d=np.concatenate([state.d[:1], -state.d[1:]]))
+    assert not len(Errands.of(REACH, two_behind, GOAL).drivers)
+    home = centre(state.x) + 0.1
+    assert not len(Errands.of(REACH, state, home).drivers)
 
 
 def test_a_stray_costs_what_it_adds_to_the_tracking_cost_for_as_long_as_its_dog_runs() -> None:

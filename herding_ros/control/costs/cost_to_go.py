@@ -31,7 +31,8 @@ class CostToGo:
     all its way.
 
     A dog without an errand that is not felt by the flock costs the same, with all sheep at
-    a distance of reach, until it is within reach.
+    a distance of reach, until it is within reach; and so does one that has to get behind the
+    flock, until it is there.
     """
 
     errands: Errands
@@ -56,9 +57,7 @@ class CostToGo:
             if not straight.all():
                 for round_, direct in zip((way, by_dog, by_post), detour(*ends, 0.0), strict=True):
                     round_[~straight] = direct[~straight]
-            width = _SMOOTHING * errands.standoff
-            time = (np.sqrt(way**2 + width**2) - width)[:, None] / self.max_speed
-            by_way = (way / np.sqrt(way**2 + width**2))[:, None] / self.max_speed
+            time, by_way = self._time(way)
             scale = self.spread_weight / (2.0 * n)
             rate = scale * np.maximum((r + rest) ** 2 - errands.inner**2, 0.0)
             value += float((rate * time).sum())
@@ -84,8 +83,27 @@ class CostToGo:
         by_idle = rate * slope * off / np.maximum(r, 1e-12)
         by_d[idle] += by_idle
         by_place -= by_idle.sum(axis=0)
+        drivers = np.setdiff1d(errands.drivers, errands.dogs)
+        if len(drivers):
+            # Meanwhile nothing is gained by it within a window.
+            back = np.broadcast_to(-errands.around * errands.ahead, (len(drivers), 2))
+            way, by_dog, _ = detour(d[drivers] - place, back, errands.around)
+            time, by_way = self._time(way)
+            rate = self.spread_weight * errands.reach**2 / (2.0 * len(d))
+            value += rate * float(time.sum())
+            by_d[drivers] += rate * by_way * by_dog
+            by_place -= rate * (by_way * by_dog).sum(axis=0)
         if errands.goal is None:
             by_x[errands.together] += by_place / errands.together.sum()
         xs, ds = np.zeros_like(trajectory.xs), np.zeros_like(trajectory.ds)
         xs[-1, :, :n], ds[-1, :2] = by_x.T, by_d.T
         return value, Derivatives(x=xs, d=ds)
+
+    def _time(self, way: Array) -> tuple[Array, Array]:
+        """Return how long dogs need for ways (k,) [m], (k, 1) [s], and the derivatives [s/m]."""
+        width = _SMOOTHING * self.errands.standoff
+        rounded = np.sqrt(way**2 + width**2)
+        return (
+            (rounded - width)[:, None] / self.max_speed,
+            (way / rounded)[:, None] / self.max_speed,
+        )
