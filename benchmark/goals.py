@@ -24,10 +24,9 @@ def growth_of_step(results: Results) -> list[float]:
     return [float(np.log10(seconds / np.median(few))) / 3.0 for seconds in many if few]
 
 
-def replans(results: Results) -> list[float]:
-    """Return the times of all replans of the default controller [ms]."""
-    times = results.values('seconds', 'replan', thorough=False, paths=100)
-    return [1e3 * seconds for seconds in times]
+def milliseconds(results: Results, what: str, **case: object) -> list[float]:
+    """Return the times of a case [ms]."""
+    return [1e3 * seconds for seconds in results.values('seconds', what, **case)]
 
 
 def least_ratio(what: str, **case: object) -> Callable[[Results], list[float]]:
@@ -65,8 +64,19 @@ class Goal:
         return markdown.Goal(self.text, bound, f'{found}{self.unit}', reached)
 
 
-def _ratio(what: str, **case: object) -> Callable[[Results], list[float]]:
-    return lambda results: results.values('ratios', what, sheep=30, **case)
+_Measured = Callable[[Results], list[float]]
+
+
+def _values(key: str, what: str, **case: object) -> _Measured:
+    return lambda results: results.values(key, what, **case)
+
+
+def _ratio(what: str, **case: object) -> _Measured:
+    return _values('ratios', what, sheep=30, **case)
+
+
+def _milliseconds(what: str, **case: object) -> _Measured:
+    return lambda results: milliseconds(results, what, **case)
 
 
 GOALS = (
@@ -123,55 +133,61 @@ GOALS = (
     Goal(
         'Feedback, N = 30, M = 5, horizon 20 s, in values with gradient on its grid',
         12.0,
-        lambda results: results.values('ratios', 'feedback'),
+        _values('ratios', 'feedback'),
         at_least=False,
     ),
     Goal(
         '[Among 20 walls](#walls), with dogs apart: time of a window / without either',
         1.5,
-        lambda results: results.values('ratios', 'planning among walls', kind='window'),
+        _values('ratios', 'planning among walls', kind='window'),
         at_least=False,
     ),
     Goal(
         'The same, feedback',
         1.5,
-        lambda results: results.values('ratios', 'planning among walls', kind='feedback'),
+        _values('ratios', 'planning among walls', kind='feedback'),
         at_least=False,
     ),
     Goal(
         'Filter of commands, 10 dogs, 40 walls',
         1.0,
-        lambda results: [1e3 * s for s in results.values('seconds', 'command filter')],
+        _milliseconds('command filter'),
         ' ms',
         at_least=False,
     ),
-    Goal('A whole [replan](#replan), horizon 20 s', 250.0, replans, ' ms', at_least=False),
+    Goal(
+        'A whole [replan](#replan), horizon 20 s',
+        250.0,
+        _milliseconds('replan', thorough=False, paths=100),
+        ' ms',
+        at_least=False,
+    ),
     Goal(
         '`scripts/herd`, three processes: simulated seconds per second',
         20.0,
-        lambda results: results.values('factors', 'herd', herded=30),
+        _values('factors', 'herd', herded=30),
     ),
     Goal(
         '`scripts/herd --sheep 10000 --dogs 6`, replans apart: simulated seconds per second',
         1.0,
-        lambda results: results.values('without_solving', 'herd', herded=10_000),
+        _values('without_solving', 'herd', herded=10_000),
     ),
     Goal(
         'Page of the view, without a graphics card: time until a herd is seen',
         2.0,
-        lambda results: results.values('until_seen', 'view', herded=30),
+        _values('until_seen', 'view', herded=30),
         ' s',
         at_least=False,
     ),
     Goal(
         'The same: pictures a second of 30 sheep',
         15.0,
-        lambda results: results.values('rates', 'view', herded=30),
+        _values('rates', 'view', herded=30),
     ),
     Goal(
         'The same: pictures a second of 10⁴ sheep',
         5.0,
-        lambda results: results.values('rates', 'view', herded=10_000),
+        _values('rates', 'view', herded=10_000),
     ),
     Goal(
         'Value and gradient from N = 100 to N = 1000, M = 5: exponent of N',
@@ -182,7 +198,7 @@ GOALS = (
     Goal(
         '[Forces](#big-flocks) on 10⁵ sheep, relative error at most 1e-4',
         100.0,
-        lambda results: [1e3 * s for s in results.values('seconds', 'force', sheep=100_000)],
+        _milliseconds('force', sheep=100_000),
         ' ms',
         at_least=False,
     ),
@@ -195,8 +211,6 @@ GOALS = (
     Goal(
         'Forces, N = 10⁴, relative error at most 1e-6: time of the direct sum / ours',
         20.0,
-        lambda results: results.values(
-            'ratios', 'force against direct', sheep=10_000, accuracy=1e-6
-        ),
+        _values('ratios', 'force against direct', sheep=10_000, accuracy=1e-6),
     ),
 )

@@ -9,7 +9,7 @@ from string import Template
 
 from benchmark import tables
 from benchmark.figure import draw
-from benchmark.goals import growth, growth_of_step, NOT_MEASURED
+from benchmark.goals import growth, growth_of_step, milliseconds, NOT_MEASURED
 from benchmark.results import Results
 from herding_ros.model.fast_forces import CROSSOVER
 from herding_ros.report.statistics import Quartiles
@@ -63,7 +63,7 @@ def section(results: Results) -> str:
         whole_solves=tables.whole_solves(results),
         feedback=tables.feedback(results),
         walls=tables.walls(results),
-        filter=spread([1e3 * s for s in results.values('seconds', 'command filter')]),
+        filter=spread(milliseconds(results, 'command filter')),
         replan=tables.replan(results),
         herd=tables.herd(results),
         jitter=tables.jitter(results),

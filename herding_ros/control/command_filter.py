@@ -81,16 +81,16 @@ class CommandFilter:
         keeps = keeps_distances(control, field)
         wanted = u = asked[seen]
         before, most = last[seen], motion.largest_change(period)
-        limits = _Limits.of(control, motion)
-        near = limits.neighbours(state, hidden, bodies, field) if keeps else None
-        if near is not None:
+        if keeps:
+            limits = _Limits.of(control, motion)
+            near = limits.neighbours(state, hidden, bodies, field)
             # Dogs that have to turn do so for what they would be told if they need not.
             u = kept_apart(near, wanted, limits.gain, limits.speed, bodies.margin)
         changed = u is not wanted
         if bodies.ramp or most < np.inf:
             smooth = control.max_speed * period / bodies.ramp if bodies.ramp else np.inf
             u = before + motion.project(u - before, min(most, smooth))
-        if near is not None:
+        if keeps:
             agility = Agility(before, most, motion.directions(state.d))
             u = kept_apart(
                 near, u, limits.gain, limits.speed, part=not bodies.ramp, agility=agility

@@ -103,10 +103,7 @@ class Corners:
         Where walls hide no way that is the end itself, and nothing [m]. The clearance is kept from
         the first corner on: who is nearer to a wall can get there. NaN where there is no way.
         """
-        import shapely
-
-        straight = shapely.linestrings(np.stack([points, ends], axis=1))
-        hidden = np.asarray(shapely.intersects(self.field.walls, straight))
+        hidden = _hidden(self.field, points, ends)
         turns, rest = np.array(ends), np.zeros(len(points))
         if hidden.any():
             corners, lengths, _ = self._graph
@@ -147,6 +144,14 @@ def _cross(shape, a: Array, b: Array) -> NDArray[np.bool_]:  # type: ignore[no-u
 
     lines = np.stack(np.broadcast_arrays(a[:, None], b[None]), axis=2)
     return np.asarray(shapely.intersects(shape, shapely.linestrings(lines)))
+
+
+def _hidden(field: Field, a: Array, b: Array) -> NDArray[np.bool_]:
+    """Return (n,) whether a wall is between each of a and its counterpart of b (n, 2)."""
+    import shapely
+
+    lines = shapely.linestrings(np.stack([a, b], axis=1))
+    return np.asarray(shapely.intersects(field.walls, lines))
 
 
 @lru_cache(maxsize=64)
@@ -193,12 +198,9 @@ def _middle(field: Field, x: Array) -> Array:
     That is its centre; but where it is on both sides of a corner, a wall may be before its centre,
     and then it is the place of the sheep that is nearest to that.
     """
-    import shapely
-
     middle = centre(x)
     nearest = x[np.square(x - middle).sum(axis=1).argmin()]
-    hidden = shapely.intersects(field.walls, shapely.linestrings(np.stack([nearest, middle])))
-    return nearest if hidden else middle
+    return nearest if _hidden(field, nearest[None], middle[None])[0] else middle
 
 
 @dataclass(frozen=True)

@@ -205,11 +205,9 @@ def fit(
     theta, converged, iterations = likelihood.minimise(progress)
     at = likelihood.at(theta)
     best = likelihood.model(theta)
-    deviations = np.sqrt(np.diag(at.covariance))
     names = {e.name for e in fitted}
     return Fit(
-        best.crowd, best.sensor, _estimates(fitted, best, at),
-        at.covariance / np.outer(deviations, deviations),
+        best.crowd, best.sensor, _estimates(fitted, best, at), at.correlation,
         tuple(e.name for e in entries if type(e.value) is float and e.name not in names),
         converged, iterations,
     )  # fmt: skip
@@ -270,10 +268,9 @@ def _blurred(model: _Model, noise: float) -> set[str]:
 
 
 def _estimates(fitted: Sequence[Entry], best: _Model, at: _Evaluation) -> tuple[Estimate, ...]:
-    deviations = np.sqrt(np.diag(at.covariance))
+    deviations = at.deviations
     alone = 1.0 / np.sqrt(np.diag(at.information + _TINY))
-    correlation = np.abs(at.covariance / np.outer(deviations, deviations))
-    like = (correlation - np.eye(len(fitted))).argmax(axis=1)
+    like = (np.abs(at.correlation) - np.eye(len(fitted))).argmax(axis=1)
     blur = _blurred(best, best.sensor.position_noise)
     values = best.flat()
     return tuple(
@@ -303,6 +300,16 @@ class _Evaluation:
         """Godambe's."""
         inverse = np.linalg.inv(self.hessian)
         return inverse @ self.scatter @ inverse
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of theta (P,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Array:
+        """Of theta, (P, P)."""
+        return self.covariance / np.outer(self.deviations, self.deviations)
 
 
 class _Likelihood:

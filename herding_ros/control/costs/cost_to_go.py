@@ -83,8 +83,8 @@ class CostToGo:
         by_idle = rate * slope * off / np.maximum(r, 1e-12)
         by_d[idle] += by_idle
         by_place -= by_idle.sum(axis=0)
-        drivers = np.setdiff1d(errands.drivers, errands.dogs)
-        if len(drivers):
+        drivers = errands.drivers
+        if len(drivers) and len(drivers := np.setdiff1d(drivers, errands.dogs)):
             # Meanwhile nothing is gained by it within a window.
             back = np.broadcast_to(-errands.around * errands.ahead, (len(drivers), 2))
             way, by_dog, _ = detour(d[drivers] - place, back, errands.around)
