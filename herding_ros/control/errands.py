@@ -36,8 +36,8 @@ class Errands:
     inner: distance [m] from there within which a sheep needs no fetching; around: radius [m] of
     the disc around it that dogs do not cross; standoff, reach: see `Reach`; via: (k, 2) [m] where
     a stray is led first that has a wall before it, else NaN; rest: (k,) [m] how long its way is
-    from there; drivers: (j,) dogs that go behind the flock, where most are before it; ahead: (2,)
-    unit vector to the goal.
+    from there; drivers: (j,) dogs that go behind the flock, where too few are; behind: (2,) [m]
+    where that is, from its place.
     """
 
     together: NDArray[np.bool_]
@@ -51,7 +51,7 @@ class Errands:
     via: Array
     rest: Array
     drivers: NDArray[np.int_]
-    ahead: Array
+    behind: Array
 
     @classmethod
     def of(cls, reach: Reach, state: HerdState, goal: Array, ways: Ways | None = None) -> Errands:
@@ -61,7 +61,7 @@ class Errands:
         flock so scattered that dogs do not feel across it, each sheep is driven to the goal
         (2,) [m] by itself. If there are more strays than dogs, each dog fetches, of those that
         are nearer to it than to others, the farthest. Among walls strays are led along `ways`.
-        Where most dogs are before the flock, in the open, these go behind it.
+        Where most dogs are before the flock, among walls all of them, these go behind it.
         """
         x, d = state.x, state.dogs
         middle = _middle(x)
@@ -89,11 +89,19 @@ class Errands:
         left = float(np.linalg.norm(goal - place))
         ahead = (goal - place) / max(left, TINY)
         drivers = np.flatnonzero((d - place) @ ahead > 0.0)
-        if individually or ways is not None or left <= around or 2 * len(drivers) <= len(d):
+        behind = -around * ahead
+        if ways is None:
+            # About a flock that is nearly home there are dogs on all sides.
+            goes = 2 * len(drivers) > len(d) and left > around
+        else:
+            # Past a flock in a lane the way is narrow, and long: only if no dog is behind.
+            goes = len(drivers) == len(d)
+            behind = ways.in_front(x, (place + behind)[None])[0] - place
+        if individually or not goes:
             drivers = drivers[:0]
         return cls(
             together, dogs, strays[found], goal if individually else None, inner, around,
-            reach.standoff, reach.reach, via[found], rest[found], drivers, ahead,
+            reach.standoff, reach.reach, via[found], rest[found], drivers, behind,
         )  # fmt: skip
 
     def place(self, x: Array) -> Array:

@@ -26,6 +26,9 @@ _INNER = 0.9
 _PER_OCTAVE = 4
 """Clearances are rounded down to steps of which so many halve it, so that few graphs are made."""
 
+_STARTS = 50
+"""From so many sheep a way is sought: of a huge flock without one, from all would take seconds."""
+
 _DETOUR = 1.5
 """A wide way is not taken if it is more than so many times as long as the shortest."""
 
@@ -192,15 +195,18 @@ def _length(way: Array) -> float:
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
-def _middle(field: Field, x: Array) -> Array:
-    """Return where a flock at x (N, 2) is (2,) [m], on its side of all walls.
+def _middles(field: Field, x: Array) -> Iterator[Array]:
+    """Yield where a flock at x (N, 2) may be said to be (2,) [m], the best first.
 
     That is its centre; but where it is on both sides of a corner, a wall may be before its centre,
-    and then it is the place of the sheep that is nearest to that.
+    and then it is the place of the sheep that is nearest to that. This one may be observed on the
+    wrong side of a wall, by noise: then it is the next.
     """
     middle = centre(x)
-    nearest = x[np.square(x - middle).sum(axis=1).argmin()]
-    return nearest if _hidden(field, nearest[None], middle[None])[0] else middle
+    nearest = x[np.square(x - middle).sum(axis=1).argsort(kind='stable')]
+    if not _hidden(field, nearest[:1], middle[None])[0]:
+        yield middle
+    yield from nearest[:_STARTS]
 
 
 @dataclass(frozen=True)
@@ -218,20 +224,29 @@ class Ways:
 
     @classmethod
     def of(cls, field: Field, bodies: Bodies, x: Array, goal: Array) -> Ways | None:
-        """Return the ways of a flock at x (N, 2) [m] to a goal (2,) [m]; None without walls."""
+        """Return the ways of a flock at x (N, 2) [m] to a goal (2,) [m]; None without walls.
+
+        Raises ValueError if no way leads from any sheep.
+        """
         if not len(field.bars):
             return None
         clearance = bodies.wall_distance + 2.0 * bodies.margin
         width = math.sqrt(2.0) * float(spread(x))  # the radius of a disc with that spread
-        found = route(field, _middle(field, x), goal, width, clearance)
-        return cls(field, found, width, clearance)
+        shut_in: ValueError | None = None
+        for start in _middles(field, x):
+            try:
+                return cls(field, route(field, start, goal, width, clearance), width, clearance)
+            except ValueError as error:
+                shut_in = shut_in or error
+        assert shut_in is not None
+        raise shut_in
 
     def aim(self, x: Array) -> Array:
         """Return where a flock at x (N, 2) is to be driven (2,) [m]: a point ahead on its route.
 
         It is the end of the leg that the flock is on, unless that is nearer than `ahead`.
         """
-        middle = _middle(self.field, x)
+        middle = next(_middles(self.field, x))
         start, along = self.route[:-1], np.diff(self.route, axis=0)
         lengths = np.maximum(np.linalg.norm(along, axis=1), 1e-12)
         part = np.clip(((middle - start) * along).sum(axis=1) / lengths**2, 0.0, 1.0)

@@ -15,7 +15,7 @@ from .flock import Arrival, arrived, centre, spread, without_strays
 from .motion import Holonomic, MotionModel
 from .parameters import Parameters, quantity, TINY
 from .scenario import initial_herd, MOST_DOGS, MOST_SHEEP, Start
-from .state import Array, HerdState
+from .state import Array, HerdState, Trajectory
 
 
 @dataclass(frozen=True)
@@ -195,20 +195,32 @@ class Simulation:
 
     def _moved(self, u: Array, noise: Array) -> HerdState:
         """Return the state after a control period of dogs' velocities u under this noise."""
+        state, k = self.state, 0
+        while k < len(noise):
+            path = self._rollout(state, u, noise[k:], k)
+            free = self._steps_free_of_walls(path)
+            state, k = path.at(free), k + free
+            if k < len(noise):
+                state, k = self._stopped_by_walls(state, path.at(free + 1)), k + 1
+        return state
+
+    def _rollout(self, state: HerdState, u: Array, noise: Array, k: int) -> Trajectory:
+        """Integrate as many steps as there is noise, from the k-th of this control period on."""
         from .dynamics import rollout
 
-        world, t = self.world, self.nanoseconds * 1e-9
-        if not len(field_of(self.crowd).bars):
-            return rollout(
-                self.crowd, self.state, u[None], world.dt, world.substeps, noise, t, world.motion
-            ).at(-1)
-        state = self.state
-        for k, each in enumerate(noise):
-            after = rollout(
-                self.crowd, state, u[None], world.dt, 1, each[None], t + k * world.dt, world.motion
-            ).at(-1)
-            state = self._stopped_by_walls(state, after)
-        return state
+        world, t = self.world, self.nanoseconds * 1e-9 + k * self.world.dt
+        return rollout(self.crowd, state, u[None], world.dt, len(noise), noise, t, world.motion)
+
+    def _steps_free_of_walls(self, path: Trajectory) -> int:
+        """Return how many steps of a path come before the first that a wall stops."""
+        field, steps = field_of(self.crowd), len(path.xs) - 1
+        if not len(field.bars):
+            return steps
+        stopped = np.zeros(steps, dtype=np.bool_)
+        for places, least in ((path.x, 0.0), (path.d, self.world.bodies.radius)):
+            before, after = (each.reshape(-1, 2) for each in (places[:-1], places[1:]))
+            stopped |= field.stopped(before, after, least).reshape(steps, -1).any(axis=1)
+        return int(stopped.argmax()) if stopped.any() else steps
 
     def _stopped_by_walls(self, before: HerdState, after: HerdState) -> HerdState:
         """Return the state after a step, with sheep and dogs where they were that a wall stops.

@@ -143,6 +143,19 @@ def test_dogs_go_behind_the_flock_where_most_are_before_it() -> None:
     assert not len(Errands.of(REACH, state, home).drivers)
 
 
+def test_in_a_lane_dogs_go_behind_the_flock_where_none_is_there() -> None:
+    """A flock in a dead end, with its dogs on the way out, and no room behind it."""
+    lane = Field(fences=(((3.0, 0.7), (-0.7, 0.7), (-0.7, -0.7), (3.0, -0.7)),))
+    state = before_the_flock(3)
+    ways = Ways.of(lane, Bodies(), state.x, GOAL)
+    assert ways is not None
+    errands = Errands.of(REACH, state, GOAL, ways)
+    assert list(errands.drivers) == [0, 1, 2]
+    assert lane.gaps((errands.place(state.x) + errands.behind)[None]).min() > Bodies().wall_distance
+    one_behind = replace(state, d=np.concatenate([state.d[:2], -state.d[2:]]))
+    assert not len(Errands.of(REACH, one_behind, GOAL, ways).drivers)
+
+
 def test_a_stray_costs_what_it_adds_to_the_tracking_cost_for_as_long_as_its_dog_runs() -> None:
     state = herd(1, 1)
     d = state.x[:1] * 2.0

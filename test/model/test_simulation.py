@@ -3,8 +3,9 @@ import dataclasses
 
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
+from herding_ros.model.field import Field
 from herding_ros.model.flock import Arrival
-from herding_ros.model.motion import Unicycle
+from herding_ros.model.motion import MOTIONS, Unicycle
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
@@ -31,6 +32,19 @@ def test_same_seed_same_world_bit_for_bit() -> None:
     np.testing.assert_array_equal(one.observe().state.x, same.observe().state.x)
     other = played(Simulation(Crowd(), dataclasses.replace(WORLD, seed=4), GOAL), commands(20))
     assert (one.state.x != other.state.x).all()
+
+
+@pytest.mark.parametrize('kind', sorted(MOTIONS))
+def test_a_wall_that_nobody_reaches_changes_no_bit(kind: str) -> None:
+    far = Field(fences=(((50.0, -1.0), (50.0, 1.0)),))
+    ends = []
+    for crowd in (Crowd(), far.around(Crowd())):
+        sim = Simulation(crowd, World(sheep=6, dogs=2, seed=1, motion=MOTIONS[kind]), GOAL)
+        for _ in range(30):
+            sim.advance(np.array([[0.05, 0.0], [0.0, -0.03]]))
+        ends.append(sim.state)
+    for name in ('x', 'v', 'd'):
+        np.testing.assert_array_equal(*(getattr(end, name) for end in ends))
 
 
 def test_looking_at_the_herd_does_not_move_it() -> None:

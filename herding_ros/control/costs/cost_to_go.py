@@ -86,7 +86,7 @@ class CostToGo:
         drivers = errands.drivers
         if len(drivers) and len(drivers := np.setdiff1d(drivers, errands.dogs)):
             # Meanwhile nothing is gained by it within a window.
-            back = np.broadcast_to(-errands.around * errands.ahead, (len(drivers), 2))
+            back = np.broadcast_to(errands.behind, (len(drivers), 2))
             way, by_dog, _ = detour(d[drivers] - place, back, errands.around)
             time, by_way = self._time(way)
             rate = self.spread_weight * errands.reach**2 / (2.0 * len(d))
