@@ -295,10 +295,11 @@ class Pilot:
         for m, judgement in changed.items():
             self._say(*self._standing_of(m, judgement))
 
-    def _standing_of(self, m: int, judgement: Judgement) -> tuple[str, str]:
+    def _standing_of(self, m: int, judgement: Judgement) -> tuple[str, str, str]:
+        """Return level, text and cause of the event that a dog is told, or no longer."""
         name = dog_name(m)
         if m not in self._obedience.disobedient:
-            return 'info', f'{name} does as told again: it is planned with'
+            return 'info', f'{name} does as told again: it is planned with', ''
         return (
             'warning',
             f'{name} does not do as told: its commands led it at {judgement.told[m]:.3g} m/s for '
@@ -306,6 +307,7 @@ class Pilot:
             'others keep away. It is told to run away from the flock now and then, and taken back '
             'when it does. See what holds it, or whether odometry is stuck; motion.kind and delay '
             'must be its own',
+            f'{name} does not do as told',
         )
 
     def _without_disobedient_dogs(
@@ -420,10 +422,11 @@ class Pilot:
             self._say('error', f'a plan could not be made: {error!r}; further ones are counted')
         self.plans_failed += 1
 
-    def _say(self, level: str, text: str) -> None:
-        """Add an event, unless the same one was added recently."""
-        if not self._time < self._said.get(text, -math.inf) + _REPEAT:
-            self._said[text] = self._time
+    def _say(self, level: str, text: str, cause: str = '') -> None:
+        """Add an event, unless one of the same cause, else the same one, was added recently."""
+        cause = cause or text
+        if not self._time < self._said.get(cause, -math.inf) + _REPEAT:
+            self._said[cause] = self._time
             self._events.append(Event(level, text))
 
     def _decision(self, command: Array | None, announcement: Announcement | None) -> Decision:

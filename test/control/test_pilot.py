@@ -1025,6 +1025,22 @@ def test_a_dog_that_is_free_again_is_tried_and_planned_with() -> None:
     assert planner.solved[-1][1].d.shape == (3, 2)
 
 
+def test_a_dog_that_stumbles_again_and_again_is_told_of_once_in_half_a_minute() -> None:
+    control = Control(horizon=HORIZON, bodies=Bodies(separation=0.05, margin=0.0, radius=0.02))
+    planner = FakePlanner(control)
+    planner.speed = 0.04
+    pilot = LockstepPilot(planner, 3)
+    decisions = in_motion(pilot, 600, lambda k: k < 20 or k % 120 < 80)
+    told = [
+        0.1 * k
+        for k, decision in enumerate(decisions)
+        for each in decision.events
+        if 'does not do as told' in each.text
+    ]
+    assert len(told) == 2
+    assert told[1] - told[0] > 29.0
+
+
 def test_commands_under_way_are_predicted() -> None:
     """The herd is planned for as it will be once they have been carried out."""
     control, goal = Control(delay=0.5), np.array([0.5, 0.5])
