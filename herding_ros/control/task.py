@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.dynamics import relative_friction
+from herding_ros.model.dynamics import spreading
 from herding_ros.model.field import field_of
 from herding_ros.model.flock import centre, spread
 from herding_ros.model.parameters import TINY
@@ -118,13 +118,7 @@ class Task:
 def _growth(crowd: Crowd, x: Array, least: float, time: float) -> float:
     """Return by which factor noise alone would raise the mean square distance from the centre.
 
-    Of free sheep it grows by 2 (sigma / alpha)^2 in a unit of time (diffusion in the plane), but
-    for the noise that all have in common; alignment adds to their friction alpha. The coarse model
-    knows nothing of it: without this factor the flock would be driven as fast under strong noise
-    as under none. A spread [m] counts as the least one at least.
+    The coarse model knows nothing of it: without this factor the flock would be driven as fast
+    under strong noise as under none. A spread [m] counts as the least one at least.
     """
-    friction = relative_friction(crowd, x) if len(x) else 0.0
-    if not friction:
-        return 1.0
-    own = crowd.noise**2 * (1.0 - crowd.common_noise)
-    return 1.0 + 2.0 * own / friction**2 * time / max(float(spread(x)), least) ** 2
+    return 1.0 + spreading(crowd, x) * time / max(float(spread(x)), least) ** 2 if len(x) else 1.0

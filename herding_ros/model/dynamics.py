@@ -82,6 +82,19 @@ def relative_friction(crowd: Crowd, x: Array) -> float:
     return crowd.friction + float(alignment_rates(crowd, x).mean())
 
 
+def spreading(crowd: Crowd, x: Array) -> float:
+    """Return how fast noise alone moves free sheep at x (N, 2) [m] apart [m^2/s].
+
+    By that the mean square of their distance from their centre grows: 2 (sigma / alpha)^2
+    (diffusion in the plane), but for the noise that all have in common; alignment adds to their
+    friction alpha. 0 without friction, where it does not grow like time.
+    """
+    friction = relative_friction(crowd, x)
+    if not friction:
+        return 0.0
+    return 2.0 * (crowd.noise**2 * (1.0 - crowd.common_noise)) / friction**2
+
+
 @contextmanager
 def _summation(
     crowd: Crowd, n: int, accuracy: float = fast_forces.ACCURACY

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from herding_ros.control.parameters import Control
+from herding_ros.model.crowd import Crowd
+from herding_ros.model.dynamics import spreading
 from herding_ros.model.scenario import GOAL
-from herding_ros.report.markdown import table
-from herding_ros.report.statistics import Fraction, Median
+from herding_ros.report.markdown import Goal, table
+from herding_ros.report.statistics import Fraction, Mean, Median
 from herding_ros.report.style import (
     BLUE,
     draw_goal,
@@ -23,12 +25,12 @@ from herding_ros.report.style import (
 )
 import numpy as np
 
-from .runs import run_task
+from .runs import MAX_SPREAD, run_task, safe, success, times
 from .study import grid, Options, Results, Section, tasks_of
 from .task import Task
 
 TITLE = 'How the controller decides'
-DESCRIPTION = 'looks, candidates, strays: what the controller does, and from hard starts'
+DESCRIPTION = 'looks, candidates, strays: what the controller does, also from hard starts'
 
 _FAR = (1.0, 1.0)
 _LIMIT = 250.0
@@ -38,6 +40,11 @@ _SETTINGS: dict[str, dict[str, Any]] = {
     'default': {},
     'no feedback': {'horizon.feedback': Control().horizon.accepted},
 }
+_STRONG = {2: (0.02, 400.0), 3: (0.02, _LIMIT), 5: (0.03, _LIMIT)}
+"""Noise [m/s^1.5] and time limits [s] by the number of dogs."""
+_POLICIES = {'planner': 'ours', 'strombom': 'heuristic'}
+_OVER = 5
+"""Changes of the spread are taken over so many seconds."""
 _SNAPSHOTS = (0.0, 20.0, 40.0, 60.0, 90.0)
 _KINDS = {'window': 'black', 'feedback': BLUE, 'feedback on a surprise': RED}
 
@@ -69,7 +76,22 @@ def tasks(options: Options) -> list[Task]:
         *tasks_of('looks', 0.2 if quick else 5.0, [{'seed': 0}], **looks),
         *tasks_of('candidates', 0.2 if quick else 5.0, [{'seed': 0}], **candidates),
         *runs,
+        *_strong_tasks(options),
     ]
+
+
+def _strong_tasks(options: Options) -> list[Task]:
+    """Return runs under strong noise, by the controller and the heuristic."""
+    quick, cases = options.quick, list(_STRONG.items())[: 1 if options.quick else None]
+    return [
+        run_task(
+            options, 0.3 if quick else 20.0, policy=policy, dogs=dogs, sigma=sigma, goal=_FAR,
+            time_limit=3.0 if quick else limit, seed=seed,
+        )
+        for seed in options.seed_range(20)
+        for dogs, (sigma, limit) in cases
+        for policy in _POLICIES
+    ]  # fmt: skip
 
 
 def draw(results: Results, figures: Path) -> Section:
@@ -78,12 +100,98 @@ def draw(results: Results, figures: Path) -> Section:
     _draw_looks(looks, figures)
     _draw_candidates(results.of('candidates').by_seed().get(0), figures)
     _draw_strays(results.of('herding', start='strays', settings={}), figures)
+    _draw_strong(results, figures)
     values = {
         'looks': _looks_table(looks),
         'starts': _starts_table(results),
+        'strong': _strong_table(results),
         'seeds': results.of('herding').seeds,
     }
-    return Section(values)
+    return Section(values, goals=_goals(results))
+
+
+def _goals(results: Results) -> list[Goal]:
+    cases = [(start, 19, results.of('herding', start=start, settings={})) for start in _STARTS]
+    cases += [
+        (f'{dogs} dogs, σ = {sigma:g}, safe', enough, _strong(results, dogs, 'planner'))
+        for (dogs, (sigma, _)), enough in zip(_STRONG.items(), (10, 19, 15), strict=True)
+    ]
+    goals = []
+    for what, enough, found in cases:
+        judge = Fraction.of(found.values('arrived')) if what in _STARTS else success(found)
+        reached = judge.successes >= enough if judge.count == 20 else None
+        if judge.count:
+            goals.append(Goal(what, f'≥ {enough} of 20', judge, reached))
+    return goals
+
+
+def _strong(results: Results, dogs: int, policy: str) -> Results:
+    sigma, limit = _STRONG[dogs]
+    return results.of(
+        'herding', policy=policy, dogs=dogs, sigma=sigma, goal=_FAR, time_limit=limit
+    )
+
+
+def _strong_table(results: Results) -> str:
+    return table(
+        {
+            'dogs': dogs,
+            'σ': sigma,
+            'by': words,
+            'arrivals': Fraction.of(found.values('arrived')),
+            'safe arrivals': success(found),
+            'times of these, quartiles [s]': _quartiles(times(found)),
+            'largest spread, mean [m]': found.mean('max_spread'),
+        }
+        for dogs, (sigma, _) in _STRONG.items()
+        for policy, words in _POLICIES.items()
+        if len(found := _strong(results, dogs, policy))
+    )
+
+
+def _quartiles(values: list[float]) -> str:
+    """Return the quartiles of all runs, of which those that failed took for ever."""
+    found = np.quantile(values, (0.25, 0.5, 0.75), method='inverted_cdf')
+    return ', '.join('never' if math.isinf(each) else f'{each:.0f}' for each in found)
+
+
+def _draw_strong(results: Results, figures: Path) -> None:
+    """Draw the spread of each run, and what noise adds to its square and sheep and dogs take."""
+    figure, axes = new(2, len(_STRONG), width=3.2, height=2.4)
+    for (above, below), (dogs, (sigma, _)) in zip(axes.T, _STRONG.items(), strict=True):
+        runs = _strong(results, dogs, 'planner')
+        for run in runs:
+            colour = BLUE if safe(run) else RED
+            above.plot(run['paths']['t'], run['paths']['spread'], color=colour, linewidth=0.6)
+        above.axhline(MAX_SPREAD, color='black', linestyle=':', linewidth=1.0)
+        above.set(xlabel='time [s]', title=f'{dogs} dogs, σ = {sigma:g}', ylim=(0.2, 0.9))
+        crowd = Crowd(noise=sigma)
+        added = spreading(crowd, np.zeros((1, 2)))
+        places, taken, error = _taken(runs, added)
+        below.errorbar(places, 1e3 * taken, 1e3 * error, color=BLUE, marker='o', markersize=3)
+        below.axhline(1e3 * added, color='black', linestyle='--', linewidth=1.0)
+        below.set(xlabel='spread [m]', xlim=(0.25, 0.65), ylim=(0.0, None))
+    axes[0, 0].set_ylabel('spread [m]')
+    axes[1, 0].set_ylabel('taken from its square\n[10⁻³ m²/s]')
+    save(figure, figures / 'controller-strong.png')
+
+
+def _taken(runs: Results, added: float) -> tuple[Any, Any, Any]:
+    """Return spreads [m], and how fast its square shrinks there but for noise, with errors."""
+    spreads, rates = [], []
+    for run in runs:
+        square = np.square(run['paths']['spread'])[::_OVER]
+        spreads.extend(np.sqrt(0.5 * (square[1:] + square[:-1])))
+        rates.extend(added - np.diff(square) / _OVER)
+    edges = np.arange(0.25, 0.66, 0.05)
+    bins = np.digitize(spreads, edges)
+    groups = {k: np.array(rates)[bins == k] for k in range(1, len(edges))}
+    means = {k: Mean.of(list(group)) for k, group in groups.items() if len(group) > 4}
+    return (
+        np.array([edges[k - 1] + 0.025 for k in means]),
+        np.array([mean.value for mean in means.values()]),
+        np.array([mean.error for mean in means.values()]),
+    )
 
 
 def _kind(look: dict[str, Any]) -> str:

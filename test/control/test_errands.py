@@ -151,7 +151,8 @@ def test_in_a_lane_dogs_go_behind_the_flock_where_none_is_there() -> None:
     assert ways is not None
     errands = Errands.of(REACH, state, GOAL, ways)
     assert list(errands.drivers) == [0, 1, 2]
-    assert lane.gaps((errands.place(state.x) + errands.behind)[None]).min() > Bodies().wall_distance
+    post = errands.place(state.x) + errands.behind
+    assert lane.gaps(post[None]).min() > Bodies().wall_distance
     one_behind = replace(state, d=np.concatenate([state.d[:2], -state.d[2:]]))
     assert not len(Errands.of(REACH, one_behind, GOAL, ways).drivers)
 

@@ -140,7 +140,8 @@ def test_every_flock_within_a_field_has_a_route(name: str) -> None:
 def test_a_sheep_that_is_observed_behind_a_wall_leaves_the_flock_its_route() -> None:
     """Noise has it there; it is nearest to the centre, which a stray has drawn there as well."""
     ring = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
-    field = Field(fences=(ring,), obstacles=(((-0.9, -0.1), (0.5, -0.1), (0.5, 0.1), (-0.9, 0.1)),))
+    wall = ((-0.9, -0.1), (0.5, -0.1), (0.5, 0.1), (-0.9, 0.1))
+    field = Field(fences=(ring,), obstacles=(wall,))
     beside = np.stack([np.linspace(-0.6, 0.0, 5), np.full(5, -0.12)], axis=1)
     beside[2, 1] = -0.09
     x = np.concatenate([beside, [[-0.3, 0.13]]])

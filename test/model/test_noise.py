@@ -6,7 +6,7 @@ from pathlib import Path
 import re
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.dynamics import forces, rollout
+from herding_ros.model.dynamics import forces, rollout, spreading
 from herding_ros.model.expectation import mean_centre
 from herding_ros.model.kernels import lanes, PATHS
 from herding_ros.model.noise import increments, noise_paths, strength
@@ -130,6 +130,20 @@ def test_the_centre_of_free_sheep_varies_as_theory_says(share: float) -> None:
         within.mean(), (1.0 - share) * single, rtol=4.0 / paths**0.5, atol=1e-25
     )
     np.testing.assert_allclose(np.square(ends).mean(), single, rtol=4.0 / paths**0.5)
+
+
+@shares
+def test_free_sheep_spread_as_fast_as_theory_says(share: float) -> None:
+    n, dt = 500, 0.5
+    crowd = dataclasses.replace(FREE, common_noise=share)
+    start = HerdState(np.zeros((n, 2)), np.zeros((n, 2)), np.ones((1, 2)))
+    steps = round(100.0 / dt)
+    noise = increments(np.random.default_rng(3), crowd, n, dt, steps)
+    x = rollout(crowd, start, np.zeros((1, 1, 2)), dt, steps, noise).x
+    off = np.square(x - x.mean(axis=1, keepdims=True)).sum(axis=2).mean(axis=1)
+    late = round(20.0 / dt)  # many times 1 / alpha
+    rate = (off[-1] - off[late]) / (dt * (steps - late))
+    assert rate == pytest.approx(spreading(crowd, start.x), rel=4.0 / n**0.5, abs=1e-20)
 
 
 # The field

@@ -7,6 +7,8 @@ from typing import Any
 
 from herding_ros.studies import controller
 from herding_ros.studies.experiments import EXPERIMENTS
+from herding_ros.studies.study import Results
+from herding_ros.studies.task import Task
 import numpy as np
 import pytest
 
@@ -41,3 +43,11 @@ def test_plan_that_is_found_costs_no_more_than_its_candidates() -> None:
     assert all(start == starts[0] for start in starts)
     assert np.shape(best['x']) == (21, 6, 2)
     assert np.shape(best['d']) == (21, 2, 2)
+
+
+def test_what_is_taken_from_the_square_of_the_spread_is_what_noise_adds_less_its_growth() -> None:
+    run = {'paths': {'spread': np.sqrt(0.16 + 4e-4 * np.arange(101.0)).tolist()}}
+    runs = Results([(Task('herding', {'seed': 0}), run)] * 2)
+    places, taken, _ = controller._taken(runs, 1e-3)
+    np.testing.assert_allclose(taken, 1e-3 - 4e-4)
+    assert places == pytest.approx([0.425])
