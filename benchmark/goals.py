@@ -137,13 +137,19 @@ GOALS = (
         at_least=False,
     ),
     Goal(
-        '[Among 20 walls](#walls), with dogs apart: time of a window / without either',
+        '[Among 20 walls](#walls), with dogs apart: time of all planning of a run / without either',
+        1.5,
+        _values('ratios', 'planning among walls', kind='run'),
+        at_least=False,
+    ),
+    Goal(
+        'The same, a window alone',
         1.5,
         _values('ratios', 'planning among walls', kind='window'),
         at_least=False,
     ),
     Goal(
-        'The same, feedback',
+        'The same, a feedback alone',
         1.5,
         _values('ratios', 'planning among walls', kind='feedback'),
         at_least=False,

@@ -9,6 +9,7 @@ from typing import Any
 
 from herding_ros.control.command_filter import CommandFilter
 from herding_ros.control.parameters import Bodies, Control
+from herding_ros.control.plan import Plan
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.field import Field
@@ -25,30 +26,50 @@ FIELD = Field(
 """A round paddock with a fence of 20 sides, in which the way to the goal is free."""
 
 
-@pytest.mark.parametrize('seed', range(3))
-@pytest.mark.parametrize('what', ['window', 'feedback'])
-def test_planning_among_walls(compare: Callable[..., None], seed: int, what: str) -> None:
-    """Time it with 20 segments and dogs apart, in units of that without either."""
-    goal = np.array(GOAL)
-    apart, free = Control(), Control(bodies=Bodies(separation=0.0))
-    simulation = Simulation(Crowd(), World(seed=seed), goal)
-    walled = RecedingHorizon(FIELD.around(Crowd()), apart, goal)
-    plain = RecedingHorizon(Crowd(), free, goal)
-    plan = walled.solve(simulation.state, 0.0).plan
-    plain.solve(simulation.state, 0.0)
-    for _ in range(round(1.0 / apart.horizon.control_period)):
-        simulation.advance(plan.at(simulation.nanoseconds * 1e-9))
-    state = simulation.state
+LOOKS = 25
+"""So many looks at the flock, one in a second, bring it home."""
 
-    def plans(planner: RecedingHorizon) -> Callable[[], object]:
-        if what == 'window':
-            return lambda: copy.copy(planner).solve(state, 1.0)
-        return lambda: copy.copy(planner).improve(state, 1.0)
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('what', ['window', 'feedback', 'run'])
+def test_planning_among_walls(compare: Callable[..., None], seed: int, what: str) -> None:
+    """Time it with 20 segments and dogs apart, in units of that without either.
+
+    From the same states: a window after a second, a feedback then, or all that a run has.
+    """
+    goal, second = np.array(GOAL), 1.0
+    walled, apart = FIELD.around(Crowd()), Control()
+    every = round(apart.horizon.accepted / second)
+
+    def look(planner: RecedingHorizon, k: int, state: HerdState, is_window: bool) -> Plan:
+        return (planner.solve if is_window else planner.improve)(state, k * second).plan
+
+    simulation, states = Simulation(Crowd(), World(seed=seed), goal), []
+    driver = RecedingHorizon(walled, apart, goal)
+    for k in range(LOOKS if what == 'run' else 2):
+        states.append(simulation.state)
+        plan = look(driver, k, states[-1], k % every == 0)
+        for _ in range(round(second / apart.horizon.control_period)):
+            simulation.advance(plan.at(simulation.nanoseconds * 1e-9))
+
+    def plans(crowd: Crowd, control: Control) -> Callable[[], object]:
+        fresh = RecedingHorizon(crowd, control, goal)
+        if what == 'run':
+
+            def run() -> None:
+                planner = copy.copy(fresh)
+                planner.restart()
+                for k, state in enumerate(states):
+                    look(planner, k, state, k % every == 0)
+
+            return run
+        look(fresh, 0, states[0], is_window=True)
+        return lambda: look(copy.copy(fresh), 1, states[1], what == 'window')
 
     compare(
         'planning among walls',
-        plans(plain),
-        plans(walled),
+        plans(Crowd(), Control(bodies=Bodies(separation=0.0))),
+        plans(walled, apart),
         unit='times as long',
         kind=what,
         seed=seed,
