@@ -137,7 +137,7 @@ GOALS = (
         at_least=False,
     ),
     Goal(
-        '[Among 20 walls](#walls), with dogs apart: time of all planning of a run / without either',
+        '[Among 20 walls](#walls), with dogs apart: planning of a run / without either',
         1.5,
         _values('ratios', 'planning among walls', kind='run'),
         at_least=False,
