@@ -178,7 +178,8 @@ def _draw_strong(results: Results, figures: Path) -> None:
 
 def _taken(runs: Results, added: float) -> tuple[Any, Any, Any]:
     """Return spreads [m], and how fast its square shrinks there but for noise, with errors."""
-    spreads, rates = [], []
+    spreads: list[float] = []
+    rates: list[float] = []
     for run in runs:
         square = np.square(run['paths']['spread'])[::_OVER]
         spreads.extend(np.sqrt(0.5 * (square[1:] + square[:-1])))
