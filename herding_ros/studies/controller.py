@@ -126,10 +126,8 @@ def _goals(results: Results) -> list[Goal]:
 
 
 def _strong(results: Results, dogs: int, policy: str) -> Results:
-    sigma, limit = _STRONG[dogs]
-    return results.of(
-        'herding', policy=policy, dogs=dogs, sigma=sigma, goal=_FAR, time_limit=limit
-    )
+    sigma, _ = _STRONG[dogs]
+    return results.of('herding', policy=policy, dogs=dogs, sigma=sigma)
 
 
 def _strong_table(results: Results) -> str:
@@ -157,7 +155,7 @@ def _quartiles(values: list[float]) -> str:
 
 def _draw_strong(results: Results, figures: Path) -> None:
     """Draw the spread of each run, and what noise adds to its square and sheep and dogs take."""
-    figure, axes = new(2, len(_STRONG), width=3.2, height=2.4)
+    figure, axes = new(len(_STRONG), 2, width=3.2, height=2.4)
     for (above, below), (dogs, (sigma, _)) in zip(axes.T, _STRONG.items(), strict=True):
         runs = _strong(results, dogs, 'planner')
         for run in runs:
