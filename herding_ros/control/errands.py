@@ -96,9 +96,10 @@ class Errands:
         else:
             # Past a flock in a lane the way is narrow, and long: only if no dog is behind.
             goes = len(drivers) == len(d)
-            behind = ways.in_front(x, (place + behind)[None])[0] - place
         if individually or not goes:
             drivers = drivers[:0]
+        elif ways is not None:
+            behind = ways.in_front(x, (place + behind)[None])[0] - place
         return cls(
             together, dogs, strays[found], goal if individually else None, inner, around,
             reach.standoff, reach.reach, via[found], rest[found], drivers, behind,
