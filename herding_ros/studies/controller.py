@@ -25,7 +25,7 @@ from herding_ros.report.style import (
 )
 import numpy as np
 
-from .runs import MAX_SPREAD, run_task, safe, success, times
+from .runs import MAX_SPREAD, of_twenty, run_task, safe, success, times
 from .study import grid, Options, Results, Section, tasks_of
 from .task import Task
 
@@ -119,9 +119,7 @@ def _goals(results: Results) -> list[Goal]:
     goals = []
     for what, enough, found in cases:
         judge = Fraction.of(found.values('arrived')) if what in _STARTS else success(found)
-        reached = judge.successes >= enough if judge.count == 20 else None
-        if judge.count:
-            goals.append(Goal(what, f'≥ {enough} of 20', judge, reached))
+        goals += of_twenty(what, judge, enough)
     return goals
 
 

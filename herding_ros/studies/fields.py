@@ -13,6 +13,7 @@ from herding_ros.report.statistics import Fraction, Median
 from herding_ros.report.style import draw_goal, draw_herd, draw_paths, draw_walls, new, save
 import numpy as np
 
+from .runs import of_twenty
 from .study import grid, Options, Results, Section
 from .task import Task
 
@@ -79,10 +80,8 @@ def _goals(results: Results) -> list[Goal]:
     for name in _FIELDS:
         for dogs in _DOGS:
             ours = results.of('fields', field=name, dogs=dogs, policy='planner')
-            success = Fraction.of(ours.values('arrived'))
-            reached = success.successes >= _ENOUGH if success.count == 20 else None
-            if success.count:
-                goals.append(Goal(f'{name}, {dogs} dogs', f'≥ {_ENOUGH} of 20', success, reached))
+            arrivals = Fraction.of(ours.values('arrived'))
+            goals += of_twenty(f'{name}, {dogs} dogs', arrivals, _ENOUGH)
     ours = results.of('fields', policy='planner')
     if len(ours):
         bumps = sum(ours.values('crossings')) + sum(ours.values('stops'))

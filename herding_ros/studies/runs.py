@@ -11,7 +11,7 @@ from typing import Any
 from herding_ros.control.parameters import Control, PAPER
 from herding_ros.model.flock import Arrival
 from herding_ros.model.scenario import GOAL
-from herding_ros.report.markdown import table
+from herding_ros.report.markdown import Goal, table
 from herding_ros.report.statistics import Fraction, Mean, Median, significant
 from herding_ros.report.style import draw_goal, draw_herd, draw_paths, new, save
 from matplotlib.axes import Axes
@@ -78,6 +78,12 @@ def safe(run: dict[str, Any]) -> bool:
 def success(runs: Results) -> Fraction:
     """Return the fraction of safe arrivals."""
     return Fraction.of([safe(run) for run in runs])
+
+
+def of_twenty(what: str, arrivals: Fraction, enough: int) -> list[Goal]:
+    """Return the goal that so many of 20 arrive, known once 20 have run; none without a run."""
+    reached = arrivals.successes >= enough if arrivals.count == 20 else None
+    return [Goal(what, f'≥ {enough} of 20', arrivals, reached)] if arrivals.count else []
 
 
 def times(runs: Results) -> list[float]:
