@@ -14,16 +14,8 @@ import inspect
 from typing import Any
 
 from numba import types
-from numba.core.cgutils import create_struct_proxy
-from numba.core.datamodel import models
-from numba.extending import (
-    make_attribute_wrapper,
-    NativeValue,
-    overload,
-    register_model,
-    typeof_impl,
-    unbox,
-)
+from numba.extending import overload
+import numpy as np
 
 from .external_form import ExternalForm, Form
 from .jit import INLINED, inlined, OPTIONS
@@ -51,17 +43,19 @@ def register(
 
     @overload(_force, jit_options=_COMPILED)
     def _choose_force(x, y, form):  # type: ignore[no-untyped-def]  # Numba compares annotations
-        if form.key_of_force == key:
+        if _is(form, key):
             return lambda x, y, form: compiled_force(x, y, form.values)
         return None
 
     @overload(_product, jit_options=_COMPILED)
     def _choose_product(x, y, w_x, w_y, form):  # type: ignore[no-untyped-def]
-        if form.key_of_force == key:
+        if _is(form, key):
             return lambda x, y, w_x, w_y, form: compiled_product(x, y, w_x, w_y, form.values)
         return None
 
-    return lambda *values: Form(key, values)
+    # All forms share it: Numba knows it again by its address, and asks no Python code at a call.
+    kind = np.empty(0, [(key, np.bool_)])
+    return lambda *values: Form(kind, values)
 
 
 def _digest(*functions: Any) -> str:
@@ -73,41 +67,9 @@ def _digest(*functions: Any) -> str:
     return sha256(source.encode()).hexdigest()[:16]
 
 
-class _FormType(types.Type):
-    """The type of a `Form` in compiled code."""
-
-    def __init__(self, key: str, values: types.Type) -> None:
-        self.key_of_force, self.values = key, values
-        super().__init__(f'Form({key}, {values})')
-
-
-@register_model(_FormType)
-class _FormModel(models.StructModel):
-    def __init__(self, manager: Any, of: _FormType) -> None:
-        super().__init__(manager, of, [('values', of.values)])
-
-
-make_attribute_wrapper(_FormType, 'values', 'values')
-
-
-@typeof_impl.register(Form)
-def _typeof_form(form: Form, context: Any) -> _FormType:
-    # Numba asks at each call, and looks at every value.
-    found: _FormType | None = form.__dict__.get('_type')
-    if found is None:
-        found = _FormType(form.key, typeof_impl(form.values, context))
-        form.__dict__['_type'] = found
-    return found
-
-
-@unbox(_FormType)
-def _unbox_form(of: _FormType, form: Any, context: Any) -> NativeValue:
-    values = context.pyapi.object_getattr_string(form, 'values')
-    unboxed = context.unbox(of.values, values)
-    struct = create_struct_proxy(of)(context.context, context.builder)
-    struct.values = unboxed.value
-    context.pyapi.decref(values)
-    return NativeValue(struct._getvalue(), is_error=unboxed.is_error, cleanup=unboxed.cleanup)
+def _is(form: types.Type, key: str) -> bool:
+    """Return whether this is the type of the forms with a key."""
+    return isinstance(form, types.NamedTuple) and form.types[0].dtype.fields.keys() == {key}
 
 
 def _force(x: float, y: float, form: Form) -> tuple[float, float]:
@@ -143,7 +105,7 @@ def _add_forces(ax, ay, x, y, form):  # type: ignore[no-untyped-def]
             ax[i] += fx
             ay[i] += fy
 
-    return add if isinstance(form, _FormType) else lambda ax, ay, x, y, form: None
+    return add if isinstance(form, types.NamedTuple) else lambda ax, ay, x, y, form: None
 
 
 @overload(add_external_products, jit_options=_COMPILED)
@@ -154,7 +116,7 @@ def _add_products(h, x, mu, form):  # type: ignore[no-untyped-def]
             h[0, i] += px
             h[1, i] += py
 
-    return add if isinstance(form, _FormType) else lambda h, x, mu, form: None
+    return add if isinstance(form, types.NamedTuple) else lambda h, x, mu, form: None
 
 
 @overload(add_external_products_of_sweeps, jit_options=_COMPILED)
@@ -166,4 +128,4 @@ def _add_products_of_sweeps(h, x, mu, n, sweeps, form):  # type: ignore[no-untyp
                 h[0, k] += px
                 h[1, k] += py
 
-    return add if isinstance(form, _FormType) else lambda h, x, mu, n, sweeps, form: None
+    return add if isinstance(form, types.NamedTuple) else lambda h, x, mu, n, sweeps, form: None

@@ -7,16 +7,21 @@ Apart from external_force.py, which makes a new one, so that parameters need no 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .parameters import Parameters
 
 
-@dataclass(frozen=True)
-class Form:
-    """An external force in compiled code: which it is, and its numbers and arrays."""
+class Form(NamedTuple):
+    """An external force in compiled code: which it is, and its numbers and arrays.
 
-    key: str
+    The name of the only field of kind's dtype says which: so it is part of the form's type.
+    """
+
+    kind: NDArray[np.void]
     values: tuple[Any, ...]
 
 

@@ -49,7 +49,8 @@ class Physics(NamedTuple):
 
     The potential of the sheep is divided by n, their number. external is the form of an
     `ExternalForce`, (): none. order is that of the motion in time: 2, or 1 without inertia, which
-    takes an alpha above 0, and an alignment of rate 0: none.
+    takes an alpha above 0, and an alignment of rate 0: none. Numba tells its type without
+    asking Python, which would take a fifth of the time of a small flock's rollout.
     """
 
     n: int

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 import math
 
 from herding_ros.control.coarse_model import CoarseModel
-from herding_ros.model import fast_forces
+from herding_ros.model import fast_forces, kernels
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.dynamics import forces, reverse_sweep, rollout
+from herding_ros.model.dynamics import forces, physics, reverse_sweep, rollout
 from herding_ros.model.expectation import mean_centre
 from herding_ros.model.external_force import Form, register
 from herding_ros.model.mean_field import mean_field
@@ -17,6 +17,7 @@ from herding_ros.model.parameters import Parameters, quantity
 from herding_ros.model.sampling import FineModel
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
+from numba import typeof
 import numpy as np
 import pytest
 
@@ -161,6 +162,20 @@ def test_the_simulated_flock_feels_it() -> None:
     assert np.abs(ends[0] - ends[1]).max() > 0.05
 
 
+def test_calls_of_kernels_ask_no_python_for_the_type_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def roll() -> None:
+        x, d, noise = np.zeros((2, 2, 8)), np.zeros((2, 2, 1)), np.zeros((1, 2, 8))
+        kernels.rollout(x, x.copy(), d, noise, physics(CROWD, 1, DT))
+
+    roll()
+    asked: list[object] = []
+    monkeypatch.setattr(kernels.rollout, 'typeof_pyval', asked.append)
+    roll()
+    assert not asked
+
+
 def test_a_force_that_moved_to_another_module_is_compiled_again() -> None:
     """What Numba has stored for it refers to the module by name, which may not exist any more."""
 
@@ -173,4 +188,5 @@ def test_a_force_that_moved_to_another_module_is_compiled_again() -> None:
         assert isinstance(made, Form)
         return made
 
-    assert form_in('pasture').key == form_in('pasture').key != form_in('meadow').key
+    pasture, meadow = (typeof(form_in(module)) for module in ('pasture', 'meadow'))
+    assert pasture == typeof(form_in('pasture')) != meadow
