@@ -183,6 +183,32 @@ class RunRecorder:
         header, pose = self.header(ns, frame), self.pose(at)
         self.write(topic, self.make('geometry_msgs/PoseStamped', header=header, pose=pose))
 
+    def markers(self, topic: str, ns: int, points: dict[str, Any], frame: str = 'map') -> None:
+        """Record markers by their names, after one that removes all."""
+        header, colour = (
+            self.header(ns, frame),
+            self.make('std_msgs/ColorRGBA', r=0, g=0, b=0, a=1),
+        )
+        drawn = [
+            self.make(
+                'visualization_msgs/Marker', header=header, ns=name, id=0, type=5, action=action,
+                pose=self.pose((0, 0)), scale=self.make('geometry_msgs/Vector3', x=1, y=1, z=1),
+                color=colour, lifetime=self.make('builtin_interfaces/Duration', sec=0, nanosec=0),
+                frame_locked=False, colors=[], text='', mesh_resource='',
+                points=[self.make('geometry_msgs/Point', x=x, y=y, z=0.0) for x, y in places],
+                texture_resource='', uv_coordinates=[], mesh_use_embedded_materials=False,
+                texture=self.make(
+                    'sensor_msgs/CompressedImage', header=header, format='',
+                    data=np.zeros(0, np.uint8),
+                ),
+                mesh_file=self.make(
+                    'visualization_msgs/MeshFile', filename='', data=np.zeros(0, np.uint8)
+                ),
+            )
+            for name, places, action in (('', [], 3), *((k, v, 0) for k, v in points.items()))
+        ]  # fmt: skip
+        self.write(topic, self.make('visualization_msgs/MarkerArray', markers=drawn))
+
     def advertise(self, topic: str, name: str) -> None:
         """Record that there is a topic, without a message."""
         definition, _ = STORE.generate_msgdef(name, ros_version=2)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from herding_ros.checks import check_finite, Refused
+from herding_ros.markers import surroundings_in
 from herding_ros.point_cloud import points
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE = 'geometry_msgs/msg/PoseStamped'
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 PATH, TRAJECTORY = 'nav_msgs/msg/Path', 'trajectory_msgs/msg/MultiDOFJointTrajectory'
+MARKERS = 'visualization_msgs/msg/MarkerArray'
 COMMAND, COMMAND_WITHOUT_STAMP = 'geometry_msgs/msg/TwistStamped', 'geometry_msgs/msg/Twist'
 
 _STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -61,7 +63,7 @@ def read_message(stored: Stored, *types: str) -> Content:
         raise Refused('wrong type', f'must be of type {" or ".join(types)}, got {stored.type}')
     try:
         message = _STORE.deserialize_cdr(stored.data, stored.type)
-        header = getattr(message, 'header', None)
+        header = _header(message)
         value = _READERS[stored.type](message)
     except Refused:
         raise
@@ -72,6 +74,11 @@ def read_message(stored: Stored, *types: str) -> Content:
     # The stamp of a plan is when it begins, not when it was announced.
     ns = None if isinstance(value, Planned) else _nanoseconds(header.stamp)
     return Content(ns, header.frame_id, value)
+
+
+def _header(message: Any) -> Any:
+    """Return the header of a message, None without one; that of markers is with the first."""
+    return getattr(next(iter(getattr(message, 'markers', [])), message), 'header', None)
 
 
 def _nanoseconds(stamp: Any) -> int:
@@ -174,4 +181,5 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     DIAGNOSTICS: _statuses,
     PATH: _path,
     TRAJECTORY: _trajectory,
+    MARKERS: lambda message: surroundings_in(message, _header(message).frame_id),
 }

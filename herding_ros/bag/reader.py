@@ -18,6 +18,7 @@ import re
 from typing import Any, NamedTuple
 
 from herding_ros.checks import check_frame, check_goal, Refused
+from herding_ros.markers import NOTHING, Surroundings
 import numpy as np
 
 from .conversion import Flock, Planned, read_message
@@ -69,7 +70,7 @@ def read_run(
             f'the bag {folder} has no sheep that can be read: {"; ".join(notes.lines())}'
         )
     frame, _ = Counter(sample.frame for sample in series[names.sheep]).most_common(1)[0]
-    for topic in (names.sheep, *names.dogs.values(), names.plan, names.path):
+    for topic in (names.sheep, *names.dogs.values(), names.plan, names.path, names.drawing):
         series[topic] = _in_frame(series[topic], topic, frame, notes)
     plans = _plans([each for topic in names.diagnostics for each in series.pop(topic)], names)
     parameter = parameters.get(f'{names.namespace}/controller', {}).get('goal')
@@ -112,6 +113,7 @@ def read_run(
             for route in _routes(series[names.path], [''], start)
         ),
         goals=_goals(series, names, frame, start),
+        surroundings=_surroundings(series[names.drawing], start),
     )
 
 
@@ -408,6 +410,17 @@ def _routes(samples: Sequence[Sample], names: Sequence[str], start: int) -> tupl
                 points[:, m] = planned.points[:, planned.names.index(name)]
         routes.append(Route((planned.times - start).astype(np.float64) * 1e-9, points))
     return tuple(routes)
+
+
+def _surroundings(samples: Sequence[Sample], start: int) -> tuple[tuple[float, Surroundings], ...]:
+    """Return what a controller knew, and from when on [s]; each differs from the one before."""
+    found: list[tuple[float, Surroundings]] = []
+    last = NOTHING
+    for sample in samples:
+        if not all(map(np.array_equal, sample.value, last)):
+            found.append(((sample.ns - start) * 1e-9, sample.value))
+        last = sample.value
+    return tuple(found)
 
 
 def _seconds(samples: Sequence[Sample], start: int) -> Array:

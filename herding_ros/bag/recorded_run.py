@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from herding_ros.markers import NOTHING, Surroundings
 import numpy as np
 from numpy.typing import NDArray
 
@@ -110,6 +111,14 @@ class RecordedRun:
     """Where the flock's centre (K, 2) is expected to go under these plans."""
     goals: tuple[tuple[float, Array], ...] = ()
     """Destinations (2,) [m] and since when [s] each was in force, where that is known."""
+
+    surroundings: tuple[tuple[float, Surroundings], ...] = ()
+    """What the controller knew of walls, and its route, since when [s] each."""
+
+    def surroundings_at(self, time: float) -> Surroundings:
+        """Return what the controller knew at a time [s]."""
+        known = [each for since, each in self.surroundings if since <= time]
+        return known[-1] if known else NOTHING
 
     def goal_at(self, time: float) -> Array | None:
         """Return the destination (2,) [m] in force at a time [s], None if there is none."""

@@ -12,6 +12,7 @@ from .conversion import (
     COMMAND,
     COMMAND_WITHOUT_STAMP,
     DIAGNOSTICS,
+    MARKERS,
     ODOMETRY,
     PATH,
     POSE,
@@ -44,6 +45,7 @@ class RunTopics:
     diagnostics: tuple[str, ...]
     plan: str
     path: str
+    drawing: str
 
     @classmethod
     def choose(
@@ -91,6 +93,7 @@ class RunTopics:
             tuple(dict.fromkeys(('/diagnostics', f'{prefix}/diagnostics'))),
             f'{prefix}/plan',
             f'{prefix}/herd/path',
+            f'{prefix}/herd/markers',
         )
 
     @property
@@ -104,6 +107,7 @@ class RunTopics:
             **dict.fromkeys(self.diagnostics, (DIAGNOSTICS,)),
             self.plan: (TRAJECTORY,),
             self.path: (PATH,),
+            self.drawing: (MARKERS,),
         }
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 import os
 
 from herding_ros.model import kernels
@@ -39,7 +39,9 @@ class CoarseModel:
         return self.dt * self.substeps
 
     def on_grid(self, substeps: int) -> CoarseModel:
-        """Return the same model with another number of steps in an interval."""
+        """Return the same model with so many steps in an interval."""
+        if substeps == self.substeps:
+            return self
         return replace(self, dt=self.interval / substeps, substeps=substeps)
 
     def rollout(self, u: Array) -> Trajectory:
@@ -117,6 +119,37 @@ class CoarseModel:
         weight = np.sqrt(every * self.dt)
         matrix = weight * rows.reshape(2 * len(nodes), -1)
         return CentreSensitivity(matrix, nodes, weight, u.shape, self.interval)
+
+
+_KEPT = 4
+"""Rollouts that are kept: as many as there are plans to choose a start from."""
+
+
+@dataclass(frozen=True)
+class RememberingModel(CoarseModel):
+    """A coarse model that keeps its last few rollouts.
+
+    A solve starts from a plan whose cost is known, and what it ends with is looked at again.
+    """
+
+    _known: dict[bytes, Trajectory] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    @classmethod
+    def of(cls, model: CoarseModel) -> RememberingModel:
+        """Return the same model, remembering."""
+        return cls(*(getattr(model, each.name) for each in fields(model) if each.init))
+
+    def rollout(self, u: Array) -> Trajectory:
+        """See `CoarseModel`."""
+        key, known = u.tobytes(), self._known
+        if key not in known:
+            found = super().rollout(u)
+            while len(known) >= _KEPT:
+                del known[next(iter(known))]
+            known[key] = found
+        return known[key]
 
 
 @dataclass(frozen=True)

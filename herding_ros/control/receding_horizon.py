@@ -24,7 +24,7 @@ from herding_ros.model.state import Array, finite, HerdState, Trajectory
 import numpy as np
 from numpy.typing import NDArray
 
-from .coarse_model import CoarseModel
+from .coarse_model import CoarseModel, RememberingModel
 from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
 from .drift import Drift
@@ -154,7 +154,7 @@ class RecedingHorizon:
         self._learn(state, t)
         which = self._response.herded(state.x, control.arrival.strays)
         state = state.of_sheep(which)
-        coarse = self.coarse_model(state)
+        coarse = RememberingModel.of(self.coarse_model(state))
         budget = Budget(
             control.optimiser.max_iterations,
             control.optimiser.tolerance_of_method,
@@ -223,8 +223,7 @@ class RecedingHorizon:
         state = state.of_sheep(which)
         optimiser, horizon = self.control.optimiser, self.control.horizon
         corrects = self.control.mapping.feedback
-        coarse = self.coarse_model(state)
-        coarse = coarse.on_grid(1)
+        coarse = RememberingModel.of(self.coarse_model(state).on_grid(1))
         budget = Budget(
             optimiser.feedback_iterations,
             optimiser.tolerance_of_method,

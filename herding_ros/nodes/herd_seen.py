@@ -14,7 +14,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from herding_ros.bag.recorded_run import in_play, Route
-from herding_ros.checks import Refused
+from herding_ros.markers import NOTHING, Surroundings, surroundings_in
 from herding_ros.model.field import Field
 from herding_ros.model.flock import Arrival, distance, share_within, spread, without_strays
 from herding_ros.model.state import Array
@@ -26,6 +26,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from . import messages
 from .inbox import Inbox
@@ -66,6 +67,8 @@ class HerdSeen:
         self._plan = Inbox(node, MultiDOFJointTrajectory, 'plan', _LATCHED)
         self._path = Inbox(node, Path, 'herd/path', NEWEST)
         self._goal = Inbox(node, PoseStamped, 'herd/goal', _LATCHED)
+        self._drawing = Inbox(node, MarkerArray, 'herd/markers', NEWEST)
+        self._surroundings = NOTHING
         self._forget()
 
     def _forget(self) -> None:
@@ -117,6 +120,8 @@ class HerdSeen:
         goal = self._newest(self._goal, lambda data: messages.goal_in(data, self._frame))
         plan = self._newest(self._plan, self._plan_in)
         path = self._newest(self._path, self._path_in)
+        if drawn := self._newest(self._drawing, self._drawing_in):
+            self._surroundings = drawn
         if goal is not None:
             self.goal = goal
         if plan is not None:
@@ -144,22 +149,13 @@ class HerdSeen:
         return messages.dog_in(data, self._frame)
 
     def _plan_in(self, data: bytes) -> Route:
-        plan = deserialize_message(data, MultiDOFJointTrajectory)
-        messages.check_frame('plan', plan.header.frame_id, self._frame)
-        start = messages.nanoseconds(plan.header.stamp)
-        times = [start + messages.nanoseconds(point.time_from_start) for point in plan.points]
-        places = [
-            [(at.translation.x, at.translation.y) for at in point.transforms]
-            for point in plan.points
-        ]
-        return _route(times, np.array(places))
+        return messages.plan_in(data, self._frame)
 
     def _path_in(self, data: bytes) -> Route:
-        path = deserialize_message(data, Path)
-        messages.check_frame('path', path.header.frame_id, self._frame)
-        times = [messages.nanoseconds(pose.header.stamp) for pose in path.poses]
-        places = [(pose.pose.position.x, pose.pose.position.y) for pose in path.poses]
-        return _route(times, np.array(places))
+        return messages.path_in(data, self._frame)
+
+    def _drawing_in(self, data: bytes) -> Surroundings:
+        return surroundings_in(deserialize_message(data, MarkerArray), self._frame)
 
     def _add_sheep(self, sheep: messages.Sheep) -> None:
         if sheep.ns < self.ns:  # a reset, or another herd
@@ -205,11 +201,5 @@ class HerdSeen:
             dog_trails=trails.dogs,
             centre_trail=trails.centre,
             field=self.field,
+            surroundings=self._surroundings,
         )
-
-
-def _route(times: list[int], points: Array) -> Route:
-    """Return a route at times [ns]; Refused where a page could not draw it."""
-    if not len(points) or not np.isfinite(points).all():
-        raise Refused('not finite', 'a plan must have points, all of them finite')
-    return Route(np.array(times) * 1e-9, points)

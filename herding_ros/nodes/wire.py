@@ -204,6 +204,11 @@ class Reader:
         layout = _layout(f'{self._order}{count}d')
         return layout.unpack_from(self._data, self._pass(layout.size))
 
+    def sequence_of_doubles(self, each: int) -> tuple[float, ...]:
+        """Return the numbers of a sequence of messages that have so many doubles each."""
+        (count,) = self.numbers('I')
+        return self.some_doubles(count * each) if count else ()
+
     def flag(self) -> bool:
         """Return a boolean."""
         return self._data[self._pass(1)] != 0
@@ -218,6 +223,11 @@ class Reader:
             )
         self._at = len(self._data)
         return _layout(f'{self._order}{wanted}d').unpack_from(self._data, at)
+
+    def end_after(self, last: str) -> None:
+        """Refuse what does not end; a message may be filled up to a multiple of four bytes."""
+        if self.left > 3:
+            raise Refused('malformed', f'at most 3 bytes must follow {last}, got {self.left}')
 
     def _pass(self, size: int) -> int:
         """Skip `size` bytes and return their offset."""

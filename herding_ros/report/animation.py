@@ -22,7 +22,7 @@ from PIL import Image
 
 from .style import BLUE, draw_goal, draw_herd, draw_paths, draw_walls, number_dogs, RED
 from .summary import field, over_time
-from .walls import outlines
+from .walls import further, outlines
 
 _PICTURES = 100
 """Pictures of a run."""
@@ -85,7 +85,7 @@ def _pictures(run: RecordedRun) -> list[Image.Image]:
 
 def _draw(axes: Axes, run: RecordedRun, place: Field, k: int, middle: Array) -> None:
     now = float(run.times[k])
-    draw_walls(axes, place)
+    draw_walls(axes, place, further(place, run.surroundings_at(now).walls))
     draw_paths(axes, run.d[: k + 1], middle[: k + 1])
     for routes, colour in ((run.plans, RED), (run.expected, BLUE)):
         route = in_play(routes, now)

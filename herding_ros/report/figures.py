@@ -24,6 +24,7 @@ from .style import (
     save,
 )
 from .summary import arrival, distances, field, initial_spread, over_time
+from .walls import further
 
 _MOST_NUMBERS = 60
 """More dogs than this go without their numbers: nobody could read them."""
@@ -51,7 +52,8 @@ def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
 
 
 def _draw_map(axes: Axes, run: RecordedRun) -> None:
-    draw_walls(axes, field(run)[0])
+    place, last = field(run)[0], run.surroundings_at(float(run.times[-1]))
+    draw_walls(axes, place, further(place, last.walls))
     draw_paths(axes, run.d, over_time(centre, run), 'centre of the flock')
     for k, alpha, when in ((0, 0.3, 'start'), (-1, 1.0, 'end')):
         x, d = run.x[k][run.seen[k]], run.d[k][np.isfinite(run.d[k, :, 0])]

@@ -5,17 +5,19 @@ from __future__ import annotations
 
 from base64 import b64encode
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
 
 from herding_ros.bag.recorded_run import Array, in_play, RecordedRun
+from herding_ros.model.field import Field
 from herding_ros.model.flock import centre
 import numpy as np
 
 from .curves import curves
 from .summary import field, over_time
-from .walls import outlines, region
+from .walls import further, outlines, region
 
 _PAGE = Path(__file__).with_name('replay.html')
 _SLOT = '<script type="application/json" id="run">{}</script>'
@@ -30,6 +32,9 @@ _MOST_PLACES = 250_000
 
 _MOST_PLANNED = 60_000
 """Places of all plans together."""
+
+_MOST_PIECES = 5000
+"""Straight pieces of walls that change, all times together."""
 
 _POINTS = 25
 """Points of a plan."""
@@ -77,6 +82,7 @@ def packed(run: RecordedRun) -> dict[str, Any]:
         'unit': unit,
         'box': box.tolist(),
         'walls': walls,
+        'further': _further(run, place),
         'region': region(place).tolist(),
         'sheep': len(herd),
         'dogs': list(run.dogs),
@@ -127,6 +133,17 @@ def _plans(run: RecordedRun) -> tuple[Array, Array, Array]:
             for i in range(2):
                 points[p, :, m, i] = np.interp(times, leads.times, line[:, i], right=np.nan)
     return starts, ends, points
+
+
+def _further(run: RecordedRun, place: Field) -> list[list[Any]]:
+    """Return walls (n, 2, 2) [m] that the controller met in the field, since when [s] each."""
+    found: list[list[Any]] = []
+    for since, around in run.surroundings:
+        walls = np.round(further(place, around.walls), 4).tolist()
+        if walls != (found[-1][1] if found else []):
+            found.append([since, walls])
+    most = sum(len(walls) for _, walls in found) / _MOST_PIECES
+    return found[:: max(math.ceil(most), 1)]
 
 
 def _curves(run: RecordedRun, states: np.ndarray) -> list[dict[str, Any]]:

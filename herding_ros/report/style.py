@@ -56,8 +56,13 @@ def draw_paths(axes: Axes, dogs: Any, centre: Any, label: str | None = None) -> 
     axes.plot(*np.transpose(centre), color=BLUE, linewidth=1.6, label=label)
 
 
-def draw_walls(axes: Axes, field: Field) -> None:
-    """Draw fences, obstacles and discs, and the region that has to hold all sheep."""
+def draw_walls(axes: Axes, field: Field, further: Any = ()) -> None:
+    """Draw fences, obstacles and discs, and the region that has to hold all sheep.
+
+    further: straight pieces (n, 2, 2) [m] that are not in the field.
+    """
+    for piece in further:
+        axes.plot(*np.transpose(piece), color='black', linewidth=1.5, solid_capstyle='round')
     if len(field.goal) > 2:
         axes.fill(*np.transpose(field.goal), color=GREY, alpha=0.12, linewidth=0)
     for corners in field.obstacles:

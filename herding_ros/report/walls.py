@@ -24,3 +24,9 @@ def region(field: Field) -> Array:
     """Return the polygon that has to hold the flock, closed (K, 2) [m]; (0, 2) without one."""
     corners = field.goal if len(field.goal) > 2 else ()
     return np.array([*corners, *corners[:1]]).reshape(-1, 2)
+
+
+def further(field: Field, walls: Array) -> Array:
+    """Return those of the straight pieces (n, 2, 2) [m] that the field does not have."""
+    known = {piece.tobytes() for piece in field.outline}
+    return walls[[piece.tobytes() not in known for piece in walls]]

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
+from herding_ros.markers import NOTHING, Surroundings
 from herding_ros.model.field import Field
 from herding_ros.model.flock import centre
 from herding_ros.model.state import Array
@@ -28,7 +29,8 @@ class Frame:
     x: (N, 2) sheep; d: (M, 2) dogs; headings: (M,) [rad]; numbers: (M,) of the dogs; goal: (2,)
     the destination, None if there is none; plans: (n, M', 2) where dogs are planned to go;
     expected: (n, 2) where the flock's centre is expected to go; dog_trails: (L, M, 2) and
-    centre_trail: (L, 2) where they come from; field: what stands there.
+    centre_trail: (L, 2) where they come from; field: what stands there; surroundings: what the
+    controller knows of it, and its route.
     """
 
     time: float
@@ -42,6 +44,7 @@ class Frame:
     dog_trails: Array
     centre_trail: Array
     field: Field
+    surroundings: Surroundings = NOTHING
 
 
 class Trails:

@@ -30,7 +30,7 @@ _Lines: TypeAlias = 'tuple[Array, np.ndarray]'
 """Segments (n, 2, 2) [m] and the colours of their ends (n, 2, 3)."""
 
 _BLUE, _RED, _BLACK = (33, 102, 172), (194, 41, 43), (0, 0, 0)
-_DARK, _PALE = (60, 60, 60), (170, 170, 170)
+_DARK, _PALE, _GREEN = (60, 60, 60), (170, 170, 170), (110, 190, 120)
 _LIT_RED = (255, 30, 30)
 """What looks red on a mesh, which viser's light makes paler than lines."""
 _WHITE = np.full(3, 255.0)
@@ -216,6 +216,7 @@ class _Scene:
         self._draw_sheep(frame)
         self._draw_dogs(frame)
         ways = (
+            _plain(polylines(frame.surroundings.route[:, None]), _GREEN),
             _fading(frame.dog_trails, _RED, 0.25, rises=True),
             _fading(frame.centre_trail[:, None], _BLUE, 0.5, rises=True),
             _fading(thinned(frame.plans, _MOST_AHEAD), _RED),
@@ -351,6 +352,7 @@ def _fading(points: Array, colour: _Colour, weight: float = 1.0, rises: bool = F
 
 def _marks(frame: Frame, size: float) -> Iterator[_Lines]:
     """Yield the walls, the region that has to hold the flock, and the cross of the destination."""
+    yield _plain(frame.surroundings.walls, _DARK)
     for line in outlines(frame.field):
         yield _plain(polylines(line[:, None]), _DARK)
     corners = region(frame.field)

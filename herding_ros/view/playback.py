@@ -38,6 +38,7 @@ def frame_at(run: RecordedRun, k: int, field: Field) -> Frame:
         dog_trails=run.d[past],
         centre_trail=np.array([centre(run.x[j][run.seen[j]]) for j in past]),
         field=field,
+        surroundings=run.surroundings_at(now),
     )
 
 

@@ -48,6 +48,25 @@ def write(
         recorder.publish_ns += PERIOD_NS // 2
 
 
+def test_walls_come_back_with_the_time_since_when_the_controller_has_known_them(
+    tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
+) -> None:
+    """Drawings that say the same count once; one in another frame is left out."""
+    walls = [(0.0, 0.5), (1.0, 0.5), (1.0, 0.5), (1.0, 2.0)]
+    drawings = [(1.0, 'map', []), (1.5, 'map', walls), (2.0, 'map', walls), (2.1, 'odom', [])]
+    with run_recorder(tmp_path / 'bag') as recorder:
+        write(recorder, arrays)
+        for start, frame, points in drawings:
+            recorder.markers('/herd/markers', round(start * 1e9), {'walls': points}, frame)
+    run = read_run(tmp_path / 'bag')
+    ((since, found),) = run.surroundings
+    assert since == 1.5
+    assert found.walls.tolist() == [[[0.0, 0.5], [1.0, 0.5]], [[1.0, 0.5], [1.0, 2.0]]]
+    assert run.surroundings_at(1.4).walls.shape == (0, 2, 2)
+    assert run.surroundings_at(9.0) is found
+    assert any('/herd/markers' in note and 'odom' in note for note in run.notes)
+
+
 def test_plans_come_back_with_the_time_at_which_they_begin(
     tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]
 ) -> None:

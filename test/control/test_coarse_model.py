@@ -2,7 +2,7 @@
 from collections.abc import Callable
 import dataclasses
 
-from herding_ros.control.coarse_model import CoarseModel
+from herding_ros.control.coarse_model import CoarseModel, RememberingModel
 from herding_ros.control.costs.control_effort import ControlEffort
 from herding_ros.control.costs.leash import Leash
 from herding_ros.control.objective import Objective, weighted_costs
@@ -204,6 +204,23 @@ def test_where_dogs_cannot_matter_only_the_control_counts(
     _, gradient = dataclasses.replace(coarse, state=far).value_and_gradient(objective, u)
     expected = effort.weight * (u - effort.reference)
     np.testing.assert_allclose(gradient, expected, rtol=1e-12)
+
+
+def test_model_that_remembers_is_the_same_model(random_herd: HerdMaker) -> None:
+    """Also after the control has changed in place, and on another grid."""
+    model = CoarseModel(Crowd(), random_herd(5, 2), 0.05, 2)
+    remembering = RememberingModel.of(model)
+    controls = np.random.default_rng(0).normal(0.0, 0.05, (6, 8, 2, 2))
+    first = remembering.rollout(controls[0])
+    assert remembering.rollout(controls[0].copy()) is first
+    for u in controls:
+        assert np.array_equal(remembering.rollout(u).xs, model.rollout(u).xs)
+    assert remembering.rollout(controls[0]) is not first  # too long ago: they take memory
+    u = controls[5]
+    u[3] *= 2.0
+    assert np.array_equal(remembering.rollout(u).xs, model.rollout(u).xs)
+    assert remembering.on_grid(2) is remembering
+    assert np.array_equal(remembering.on_grid(1).rollout(u).xs, model.on_grid(1).rollout(u).xs)
 
 
 def test_inner_product_is_that_of_square_integrable_functions(random_herd: HerdMaker) -> None:

@@ -25,12 +25,14 @@ from geometry_msgs.msg import (
     PoseStamped,
     PoseWithCovariance,
     Quaternion,
+    Transform,
     Twist,
     TwistStamped,
     Vector3,
 )
 from herding_ros.checks import check_goal, Refused
 from herding_ros.control.plan import Plan
+from herding_ros.markers import surroundings_in
 from herding_ros.model.field import Field
 from herding_ros.nodes import messages
 from herding_ros.nodes import refusals as refusals_module
@@ -40,7 +42,7 @@ from herding_ros.nodes.wire import serialized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry
+from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry, Path
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -48,7 +50,7 @@ from rosbags.typesys import get_typestore, Stores
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
-from trajectory_msgs.msg import MultiDOFJointTrajectory
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -63,6 +65,8 @@ READERS: dict[str, Callable[[bytes], Any]] = {
     'goal': lambda data: messages.goal_in(data, 'map'),
     'grid': lambda data: messages.grid_in(data, 'map'),
     'outline': lambda data: messages.outline_in(data, 'map'),
+    'plan': lambda data: messages.plan_in(data, 'map'),
+    'path': lambda data: messages.path_in(data, 'map'),
 }
 
 CELLS = (0, -1, 100, 65, 64, 1)
@@ -642,6 +646,8 @@ def test_numbers_that_must_not_move_a_dog_are_refused() -> None:
         assert refusal(what, data) == kind, (what, data)
 
 
+ROUTE = np.arange(12.0).reshape(3, 2, 2)
+
 VALID = {
     'sheep': (cloud_with(), PointCloud2),
     'odometry': (odometry_with(px=1.0), Odometry),
@@ -650,6 +656,13 @@ VALID = {
     'goal': (goal_with(px=1.0), PoseStamped),
     'grid': (grid_with(), OccupancyGrid),
     'outline': (outline_with((0.0, 0.0), (1.0, 0.0), (0.5, 2.0)), PolygonStamped),
+    'plan': (
+        messages.trajectory(
+            Plan(4.0, 0.4, ROUTE), ROUTE + 100.0, ('dog_1', 'dog_2'), 4_000_000_000, 'map'
+        ),
+        MultiDOFJointTrajectory,
+    ),
+    'path': (serialize_message(messages.path(ROUTE[:, 0], 1.5, 10**9, 'map')), Path),
 }
 
 
@@ -671,6 +684,10 @@ def read_or_refused(what: str, data: bytes) -> None:
         values = [read.x, read.y, read.yaw, read.resolution]
     elif what == 'outline':
         values = [number for corner in read for number in corner]
+    elif what in ('plan', 'path'):
+        assert len(read.times) == len(read.points) >= 1
+        assert np.isfinite(read.points).all()  # it is drawn, and moves no dog
+        values = []
     else:
         values = list(read[1] if what == 'command' else read)
     assert all(abs(value) <= 1e8 for value in values)
@@ -889,6 +906,24 @@ def test_plan_says_when_and_where() -> None:
         assert not point.accelerations
 
 
+@pytest.mark.parametrize('big', [False, True])
+def test_plan_and_path_come_out_as_they_went_in(big: bool) -> None:
+    plan, path = (READERS[what](in_either_order(*VALID[what], big)) for what in ('plan', 'path'))
+    assert np.allclose(plan.times, [4.0, 4.4, 4.8])
+    assert np.array_equal(plan.points, ROUTE + 100.0)
+    assert np.allclose(path.times, [1.0, 2.5, 4.0])
+    assert np.array_equal(path.points, ROUTE[:, 0])
+
+
+def test_plan_of_dogs_that_come_and_go_is_refused() -> None:
+    points = [MultiDOFJointTrajectoryPoint(transforms=[Transform()] * count) for count in (1, 2)]
+    data = serialize_message(MultiDOFJointTrajectory(header=Header(frame_id='map'), points=points))
+    assert refusal('plan', data) == 'malformed'
+    for nothing in ('plan', 'path'):
+        empty = serialize_message(VALID[nothing][1](header=Header(frame_id='map')))
+        assert refusal(nothing, empty) == 'not finite'
+
+
 def test_path_is_stamped_along_the_way() -> None:
     message = messages.path(np.array([[0.0, 1.0], [2.0, 3.0]]), 1.5, 10**9, 'map')
     stamps = [messages.nanoseconds(pose.header.stamp) for pose in message.poses]
@@ -930,6 +965,9 @@ def test_markers_show_what_the_controller_has_decided() -> None:
     assert len(places) == len(shown) - 1 == 6
     (disc,) = [m for m in shown if m.ns == 'separation']
     assert disc.scale.x == disc.scale.y == 0.1  # two that touch are so far apart
+    found = surroundings_in(MarkerArray(markers=shown), 'field')
+    assert np.array_equal(found.walls, walls)
+    assert np.array_equal(found.route, route)
     data = serialized(messages.drawing(Drawing(walls, route, d, 0.1, changes, 0.01), 7, 'a'))
     assert data == as_rosbags_writes_it(data, MarkerArray)
 
@@ -939,6 +977,20 @@ def test_nothing_is_drawn_of_what_is_not_there() -> None:
     d = np.zeros((2, 2))
     drawn = Drawing(none.reshape(0, 2, 2), none, d, 0.0, none.reshape(0, 3, 2), 0.01)
     assert [m.action for m in messages.drawing(drawn, 7, 'map').markers] == [Marker.DELETEALL]
+
+
+def test_drawing_that_nobody_can_draw_is_refused() -> None:
+    walls, none = np.arange(8.0).reshape(2, 2, 2), np.zeros((0, 2))
+    drawn = Drawing(walls, none, none, 0.0, none.reshape(0, 3, 2), 0.01)
+    message = messages.drawing(drawn, 7, 'map')
+    with pytest.raises(Refused, match="frame 'field', got 'map'"):
+        surroundings_in(message, 'field')
+    message.markers[1].points[2].x = math.nan
+    with pytest.raises(Refused, match='finite'):
+        surroundings_in(message, 'map')
+    message.markers[1].points.pop(2)
+    with pytest.raises(Refused, match='two ends'):
+        surroundings_in(message, 'map')
 
 
 def test_markers_show_walls() -> None:

@@ -14,6 +14,7 @@ import time
 from typing import Any
 
 from herding_ros.bag.recorded_run import in_play
+from herding_ros.markers import Surroundings
 from herding_ros.model.field import Field, read_field
 from herding_ros.report.animation import save_animation
 from herding_ros.report.replay import packed, save_replay
@@ -59,6 +60,19 @@ def test_packed_plans_are_those_that_are_in_play() -> None:
             expected = [np.interp(times, route.times, route.points[:, m, i]) for i in range(2)]
             assert np.allclose(points[p, :, m], np.transpose(expected), atol=1e-3)
         assert np.allclose(points[p, :, 2], points[p, :, 0], atol=1e-3)  # the centre
+
+
+def test_walls_that_the_controller_meets_are_packed_with_their_time() -> None:
+    """Not those of the field, which are drawn all along; however many, they are not too many."""
+    met = np.array([[[0.0, 0.5], [1.0, 0.5]]])
+    pen, _ = read_field('pen')
+    route = np.zeros((0, 2))
+    seen = ((0.5, pen.outline), (2.0, np.concatenate([pen.outline, met])), (4.0, pen.outline))
+    surroundings = tuple((since, Surroundings(walls, route)) for since, walls in seen)
+    run = replace(a_run(), surroundings=surroundings, parameters={'/sim': {'field': 'pen'}})
+    assert packed(run)['further'] == [[2.0, met.tolist()], [4.0, []]]
+    many = tuple((0.1 * k, Surroundings(met + 0.1 * k, route)) for k in range(20_000))
+    assert 2000 < len(packed(replace(a_run(), surroundings=many))['further']) <= 5000
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from .received import (
     sheep_in,
     twist_in,
 )
+from .routes import path_in, plan_in
 from .sent import cloud, command, odometry, trajectory, twist
 from .stamps import dog_frame, nanoseconds, stamp_of, turned
 from .visualisation import drawing, marker_array, path, pose
@@ -41,6 +42,8 @@ __all__ = [
     'odometry',
     'outline_in',
     'path',
+    'path_in',
+    'plan_in',
     'pose',
     'sheep_in',
     'stamp_of',

@@ -181,7 +181,7 @@ def _point_cloud_in(reader: Reader, most: int) -> _PointCloud:
     is_bigendian, point_step, row_step = reader.numbers('?xxxII')
     points_data = reader.sequence()
     is_dense = reader.flag()
-    _check_end(reader, 'is_dense')
+    reader.end_after('is_dense')
     return _PointCloud(
         height, width, fields, is_bigendian, point_step, row_step, points_data, is_dense
     )
@@ -270,7 +270,7 @@ def grid_in(data: bytes, frame: str, frames: Frames | None = None) -> Grid:
     _, _, resolution, width, height = reader.numbers('iIfII')
     x, y, _, *rotation = reader.some_doubles(7)
     cells = np.frombuffer(reader.sequence(), np.int8)
-    _check_end(reader, 'data')
+    reader.end_after('data')
     if not width * height:
         raise Refused('empty', f'a map must have cells, got {width} x {height}')
     if width * height > _MOST_CELLS:
@@ -315,7 +315,7 @@ def outline_in(
             'too large', f'an obstacle must have at most {_LONGEST_OUTLINE} corners, got {count}'
         )
     numbers = reader.numbers(f'{3 * count}f') if count else ()
-    _check_end(reader, 'the points')
+    reader.end_after('the points')
     corners = tuple(zip(numbers[::3], numbers[1::3], strict=True))
     check_size('corners of an obstacle', *numbers[::3], *numbers[1::3])
     size = max(map(abs, (*numbers[::3], *numbers[1::3])), default=0.0)
@@ -338,9 +338,3 @@ def _placement(
         check_frame(what, given, frame)
         return None
     return frames.placement(what, given, ns)
-
-
-def _check_end(reader: Reader, last: str) -> None:
-    """Refuse what does not end; a message may be filled up to a multiple of four bytes."""
-    if reader.left > 3:
-        raise Refused('malformed', f'at most 3 bytes must follow {last}, got {reader.left}')

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from herding_ros.markers import ROUTE, WALLS
 from herding_ros.model.state import Array
 from herding_ros.nodes.drawing import Drawing
 from nav_msgs.msg import Path
@@ -48,7 +49,7 @@ def marker_array(
         ('goal', Marker.LINE_LIST, black, 0.2 * size, goal + cross),
     )
     if walls is not None and len(walls):
-        shapes += (('walls', Marker.LINE_LIST, black, 0.4 * size, walls.reshape(-1, 2)),)
+        shapes += ((WALLS, Marker.LINE_LIST, black, 0.4 * size, walls.reshape(-1, 2)),)
     return MarkerArray(markers=[_marker(*shape, ns, frame) for shape in shapes])
 
 
@@ -65,8 +66,8 @@ def drawing(drawn: Drawing, ns: int, frame: str) -> MarkerArray:
     pale = ColorRGBA(r=0.9, g=0.1, b=0.1, a=0.2)
     asked, width = drawn.changes[:, :2], drawn.width
     shapes = (
-        ('walls', Marker.LINE_LIST, black, width, drawn.walls),
-        ('route', Marker.LINE_STRIP, green, width, drawn.route),
+        (WALLS, Marker.LINE_LIST, black, width, drawn.walls),
+        (ROUTE, Marker.LINE_STRIP, green, width, drawn.route),
         ('asked', Marker.LINE_LIST, grey, width, asked),
         ('separation', Marker.SPHERE_LIST, pale, drawn.separation, drawn.dogs),
     )
