@@ -30,6 +30,7 @@ def chromium() -> Iterator[Any]:
         'headless=new', 'no-sandbox', 'disable-dev-shm-usage', 'window-size=1200,800',
         'use-angle=swiftshader', 'enable-unsafe-swiftshader',
         'host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1',
+        'disable-features=BackForwardCache',  # it keeps a page that was left, with its connection
     ):  # fmt: skip
         options.add_argument(f'--{argument}')
     options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})

@@ -81,7 +81,8 @@ def watched(browser: Any, start_together: Callable[[], Any]) -> Watched:
     shown.wait_for('the page is at')
     (url,) = re.findall(r'http://\S+', shown.log)
     browser.get(url)
-    statuses = peer.listen(DiagnosticArray, '/diagnostics')
+    # A few: those that wait while the browser is asked for something are of the past.
+    statuses = peer.listen(DiagnosticArray, '/diagnostics', 10)
     one = Watched(browser, peer, sim, shown, statuses)
     one.peer.spin_until(lambda: browser.find_elements('tag name', 'canvas'))
     one.shown('to go')
