@@ -234,7 +234,9 @@ class View(PageNode):
                 if query := self._queries.pop(node, None):
                     query.destroy()
                 continue
-            query = self._queries.setdefault(node, ParameterQuery(self, name))
+            if node not in self._queries:
+                self._queries[node] = ParameterQuery(self, name)
+            query = self._queries[node]
             if query.values is None:
                 query.advance()
             elif self._values.get(node) is not query.values:

@@ -158,6 +158,18 @@ def test_reset_begins_anew(watched: Watched) -> None:
     watched.peer.spin_until(lambda: float(watched.values('sim: herd')['time_s']) < before, 10.0)
 
 
+def test_view_asks_with_no_more_clients_the_longer_it_looks(watched: Watched) -> None:
+    """Each that comes or goes is made known to all nodes, which takes their time."""
+
+    def clients() -> int:
+        return int(watched.peer.node.count_clients('/sim/list_parameters'))
+
+    watched.peer.spin_until(clients)
+    before = clients()
+    watched.peer.spin_for(2.0)
+    assert clients() == before
+
+
 def test_browser_has_nothing_to_complain_of(watched: Watched) -> None:
     severe = [each for each in watched.browser.get_log('browser') if each['level'] == 'SEVERE']
     assert severe == []

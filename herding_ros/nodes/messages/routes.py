@@ -36,7 +36,7 @@ def plan_in(data: bytes, frame: str) -> Route:
     reader.end_after('the points')
     if len({len(each) for each in numbers}) > 1:
         raise Refused('malformed', 'all points of a plan must have as many transforms')
-    return _route(times, np.reshape(numbers, (count, -1, _TRANSFORM)) if count else np.zeros(0))
+    return _route(times, np.array(numbers).reshape(count, -1, _TRANSFORM) if count else np.zeros(0))
 
 
 def path_in(data: bytes, frame: str) -> Route:
@@ -52,7 +52,7 @@ def path_in(data: bytes, frame: str) -> Route:
         times.append(ns)
         numbers.append(reader.some_doubles(_TRANSFORM))
     reader.end_after('the poses')
-    return _route(times, np.reshape(numbers, (count, _TRANSFORM)))
+    return _route(times, np.array(numbers).reshape(count, _TRANSFORM))
 
 
 def _route(times: list[int], poses: Array) -> Route:
