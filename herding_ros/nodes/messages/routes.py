@@ -34,9 +34,10 @@ def plan_in(data: bytes, frame: str) -> Route:
         sec, nanosec = reader.numbers('iI')
         times.append(start + sec * 1_000_000_000 + nanosec)
     reader.end_after('the points')
-    if len({len(each) for each in numbers}) > 1:
+    size = len(numbers[0]) if numbers else 0
+    if any(len(each) != size for each in numbers):
         raise Refused('malformed', 'all points of a plan must have as many transforms')
-    return _route(times, np.array(numbers).reshape(count, -1, _TRANSFORM) if count else np.zeros(0))
+    return _route(times, np.array(numbers).reshape(count, size // _TRANSFORM, _TRANSFORM))
 
 
 def path_in(data: bytes, frame: str) -> Route:
