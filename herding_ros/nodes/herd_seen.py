@@ -14,6 +14,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from herding_ros.bag.recorded_run import in_play, Route
+from herding_ros.checks import Refused
 from herding_ros.markers import NOTHING, Surroundings, surroundings_in
 from herding_ros.model.field import Field
 from herding_ros.model.flock import Arrival, distance, share_within, spread, without_strays
@@ -21,6 +22,7 @@ from herding_ros.model.state import Array
 from herding_ros.view.frame import Curve, Frame, Trails
 from nav_msgs.msg import Odometry, Path
 import numpy as np
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -89,13 +91,15 @@ class HerdSeen:
         """Subscribe to sheep and dogs that have appeared in the graph."""
         there = {name for name, _ in self._node.get_topic_names_and_types()}
         root = full_name(self._node.get_namespace(), '')
-        source = 'truth/' if f'{root}truth/sheep' in there else ''
+        # A topic is there also for those who listen, as we do.
+        source = 'truth/' if self._node.count_publishers(f'{root}truth/sheep') else ''
         sheep = f'{root}{source}sheep'
         if self._sheep is None or self._sheep.subscription.topic_name != sheep:
             for inbox in (self._sheep, *self._dogs.values()):
                 if inbox is not None:
                     self._node.destroy_subscription(inbox.subscription)
             self._dogs = {}
+            self._forget()
             self._sheep = Inbox(self._node, PointCloud2, sheep, NEWEST)
         pattern = re.compile(f'{re.escape(root + source)}dog_([1-9][0-9]{{0,5}})/odom')
         for name in there:
@@ -155,7 +159,11 @@ class HerdSeen:
         return messages.path_in(data, self._frame)
 
     def _drawing_in(self, data: bytes) -> Surroundings:
-        return surroundings_in(deserialize_message(data, MarkerArray), self._frame)
+        try:
+            message = deserialize_message(data, MarkerArray)
+        except rclpy_implementation.RMWError as error:
+            raise Refused('malformed', str(error)) from error
+        return surroundings_in(message, self._frame)
 
     def _add_sheep(self, sheep: messages.Sheep) -> None:
         if sheep.ns < self.ns:  # a reset, or another herd

@@ -19,7 +19,7 @@ from rclpy.timer import Timer
 import shapely
 
 from . import messages
-from .occupancy import MOST_PIECES, NO_WALLS, Walls, walls_of
+from .occupancy import Grid, MOST_PIECES, NO_WALLS, Walls, walls_of
 from .refusals import Refusals
 
 MAP, OBSTACLE = 'map', 'field/obstacle'
@@ -81,6 +81,7 @@ class Maps:
         self._refused = refused
         self._run = run
         self._seen = _Seen()
+        self._last_map: tuple[Grid, Walls] | None = None
         self._waiting: list[tuple[str, _Change]] = []
         self._without_transform: list[tuple[str, bytes]] = []
         self._said: set[str] = set()
@@ -109,11 +110,17 @@ class Maps:
         """Return what a message asks for."""
         if topic == MAP:
             grid = messages.grid_in(data, self._frame, self._frames)
-            return lambda seen: replace(seen, map=walls_of(grid))
+            return lambda seen: replace(seen, map=self._walls_of(grid))
         corners = messages.outline_in(data, self._frame, self._frames)
         if len(self._waiting) >= _MOST_WAITING:
             raise Refused('too many walls', 'obstacles come faster than they are taken in')
         return partial(_with_obstacle, corners=corners)
+
+    def _walls_of(self, grid: Grid) -> Walls:
+        """Return the walls in a map; many mappers publish the same one again and again."""
+        if self._last_map is None or not self._last_map[0].equals(grid):
+            self._last_map = grid, walls_of(grid)
+        return self._last_map[1]
 
     def _try_later(self, topic: str, data: bytes, error: messages.NoTransformError) -> None:
         late = [each for each in self._without_transform if not each[0] == topic == MAP]

@@ -51,6 +51,13 @@ class Grid:
     y: float
     yaw: float
 
+    def equals(self, other: Grid) -> bool:
+        """Whether it is the same map."""
+        place = self.resolution, self.x, self.y, self.yaw
+        return place == (other.resolution, other.x, other.y, other.yaw) and np.array_equal(
+            self.occupied, other.occupied
+        )
+
 
 @dataclass(frozen=True)
 class Walls:

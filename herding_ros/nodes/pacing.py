@@ -75,7 +75,7 @@ class Lockstep:
         publishers, periods = self._commands.publishers(), self._run.simulation.periods
         if periods != self._at_last_check:
             self._seen, self._at_last_check = publishers, periods
-        elif publishers - self._seen:
+        elif self._commands.missing and publishers - self._seen:
             self._publish_state()
 
 
@@ -97,10 +97,13 @@ class RealTime:
         self._commands = commands
         self._advance = advance
         self._timer: Timer | None = None
+        self._factor = 0.0
         self.set_factor(factor)
 
     def set_factor(self, factor: float) -> None:
         """Advance at `factor` times real time from now on."""
+        if factor == self._factor:  # a timer that is made anew has its first tick to wait for
+            return
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
         self._factor = factor

@@ -12,6 +12,7 @@ from rcl_interfaces.srv import GetParameters, GetParameterTypes, ListParameters
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
+from rclpy.task import Future
 
 REPLY_TIMEOUT = 1.0
 """Time after which the request is repeated [s]."""
@@ -31,6 +32,7 @@ class ParameterQuery:
         self._types = node.create_client(GetParameterTypes, f'{name}/get_parameter_types')
         self._values = node.create_client(GetParameters, f'{name}/get_parameters')
         self._next_try = 0.0
+        self._asked: Future | None = None
 
     def advance(self) -> None:
         """Send the request if the node offers its services and no reply is on its way."""
@@ -38,7 +40,9 @@ class ParameterQuery:
         clients = (self._names, self._types, self._values)
         if now >= self._next_try and all(client.service_is_ready() for client in clients):
             self._next_try = now + REPLY_TIMEOUT
-            _call(self._names, ListParameters.Request(), self._take_names)
+            if self._asked is not None:  # a node that is there, but does not spin
+                self._names.remove_pending_request(self._asked)
+            self._asked = _call(self._names, ListParameters.Request(), self._take_names)
 
     def destroy(self) -> None:
         """Release the clients."""
@@ -68,5 +72,7 @@ class ParameterQuery:
         _call(self._values, GetParameters.Request(names=names), take_values)
 
 
-def _call(client: Client, request: Any, take: Callable[[Any], None]) -> None:
-    client.call_async(request).add_done_callback(lambda future: take(future.result()))
+def _call(client: Client, request: Any, take: Callable[[Any], None]) -> Future:
+    future = client.call_async(request)
+    future.add_done_callback(lambda future: take(future.result()))
+    return future

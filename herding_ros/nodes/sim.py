@@ -20,6 +20,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
@@ -72,6 +73,7 @@ class Sim(HerdingNode):
             crowd, world, goal, settings.stop_on_arrival, settings.time_limit, start
         )  # fmt: skip
         self._pace: Pace | None = None
+        self._ending: Timer | None = None
         self._create_publishers(world.dogs)
         self._commands = DogCommands(
             self, settings, world.dogs, world.max_speed, world.motion, settings.command_timeout,
@@ -190,9 +192,12 @@ class Sim(HerdingNode):
         if self._run.finished:
             self._publish_diagnostics()
             if self._settings.end_when_finished:
-                self.create_timer(_TIME_TO_BE_ASKED, self._end, clock=self._wall)
+                self._ending = self.create_timer(_TIME_TO_BE_ASKED, self._end, clock=self._wall)
 
     def _end(self) -> None:
+        if self._ending is not None:
+            self.destroy_timer(self._ending)
+            self._ending = None
         if self._run.finished:  # still: a moved goal continues the run
             self.ended.set_result(None)
 

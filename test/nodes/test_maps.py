@@ -16,7 +16,7 @@ from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.field import Field, NO_FIELD
 from herding_ros.model.state import HerdState
-from herding_ros.nodes import messages
+from herding_ros.nodes import maps, messages
 from herding_ros.nodes.maps import MAP, Maps, OBSTACLE
 from herding_ros.nodes.occupancy import MOST_PIECES, walls_of
 from herding_ros.nodes.refusals import Refusals
@@ -132,6 +132,16 @@ def test_what_changes_nothing_is_not_taken() -> None:
         live.show(OBSTACLE, an_obstacle(*SQUARE))
     assert len(live.fields) == 2
     assert len(live.log.lines) == 2
+
+
+def test_the_same_map_again_takes_no_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many mappers publish theirs every second."""
+    worked: list[Any] = []
+    monkeypatch.setattr(maps, 'walls_of', lambda grid: worked.append(grid) or walls_of(grid))
+    live = Live()
+    for cells in ([[100, 0], [0, 0]], [[100, 0], [0, 0]], [[0, 0], [0, 100]]):
+        live.show(MAP, a_map(cells))
+    assert len(worked) == len(live.fields) == 2
 
 
 def test_what_is_refused_leaves_the_walls_as_they_were() -> None:

@@ -350,6 +350,22 @@ def test_pace_can_be_changed(start: Callable[..., Any], peer: Any) -> None:
     assert abs(pace.lateness() - early) < 0.1 / 20.0
 
 
+def test_time_goes_on_while_a_parameter_changes_all_the_time(
+    start: Callable[..., Any], peer: Any
+) -> None:
+    """As under a slider that is being moved."""
+    start('sim', real_time_factor=1.0, **SMALL)
+    shepherd = Shepherd(peer)
+    client = peer.node.create_client(SetParameters, 'sim/set_parameters')
+    peer.spin_until(client.service_is_ready)
+    first = shepherd.newest()
+    for k in range(40):
+        change = Parameter('crowd.noise', value=0.01 + 1e-4 * k).to_parameter_msg()
+        client.call_async(SetParameters.Request(parameters=[change]))
+        peer.spin_for(0.05)
+    assert shepherd.newest() - first > 1_000_000_000
+
+
 def test_sensors_are_as_noisy_as_told(start: Callable[..., Any], peer: Any) -> None:
     """Four standard errors of a standard deviation over 400 sheep and two coordinates: 10 %."""
     start('sim', lockstep=True, sheep=400, dogs=1, position_noise=0.02, velocity_noise=0.03)
