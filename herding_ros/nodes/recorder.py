@@ -91,6 +91,7 @@ class Recorder(HerdingNode):
         self._topics = RecordedTopics(self, self._is_wanted, self._add_topic)
         self._queries: dict[str, ParameterQuery] = {}
         self._parameters_of: dict[str, dict[str, Any]] = {}
+        self._answered: set[str] = set()
         self._log_clock = LogClock()
         self._bytes = 0
         self._lost = 0
@@ -189,7 +190,8 @@ class Recorder(HerdingNode):
             for name, namespace in self.get_node_names_and_namespaces()
             if self._is_within(node := full_name(namespace, name))
         }
-        for node in present - self._parameters_of.keys() - self._queries.keys():
+        self._answered &= present  # one that comes again may have others
+        for node in present - self._answered - self._queries.keys():
             self._queries[node] = ParameterQuery(self, node)
         for node in self._queries.keys() - present:
             self._queries.pop(node).destroy()
@@ -197,6 +199,7 @@ class Recorder(HerdingNode):
             query.advance()
             if query.values is not None:
                 self._parameters_of[node] = query.values
+                self._answered.add(node)
                 self._queries.pop(node).destroy()
                 self._keep_custom_data()
 

@@ -291,6 +291,28 @@ def test_parameters_and_version_are_kept(node: Node, record: Callable[..., Recor
     assert 'without_value' not in parameters['/tester']
 
 
+def test_node_that_comes_again_is_asked_again(
+    domain: int, record: Callable[..., Recording]
+) -> None:
+    recording = record()
+    file = recording.path / 'bag_0.mcap'
+    for number in (b'1.5', b'2.5'):
+        with other_node(domain) as node:
+            node.declare_parameter('number', float(number))
+            executor = SingleThreadedExecutor(context=node.context)
+            executor.add_node(node)
+
+            def is_kept(
+                executor: SingleThreadedExecutor = executor, value: bytes = number
+            ) -> bool:
+                executor.spin_once(timeout_sec=0.01)
+                return file.is_file() and b'"number": ' + value in file.read_bytes()
+
+            wait_until(is_kept)
+    assert recording.end() == 0
+    assert json.loads(recording.custom_data()['parameters'])['/other']['number'] == 2.5
+
+
 def test_log_times_are_the_simulations(node: Node, record: Callable[..., Recording]) -> None:
     early = node.create_publisher(String, '/early', LATCHED)
     early.publish(text_message('early'))
