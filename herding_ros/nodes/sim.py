@@ -192,12 +192,13 @@ class Sim(HerdingNode):
         if self._run.finished:
             self._publish_diagnostics()
             if self._settings.end_when_finished:
+                if self._ending is not None:  # of a finish before, after which it went on
+                    self.destroy_timer(self._ending)
                 self._ending = self.create_timer(_TIME_TO_BE_ASKED, self._end, clock=self._wall)
 
     def _end(self) -> None:
-        if self._ending is not None:
-            self.destroy_timer(self._ending)
-            self._ending = None
+        assert self._ending is not None
+        self._ending.cancel()
         if self._run.finished:  # still: a moved goal continues the run
             self.ended.set_result(None)
 

@@ -366,6 +366,22 @@ def test_time_goes_on_while_a_parameter_changes_all_the_time(
     assert shepherd.newest() - first > 1_000_000_000
 
 
+def test_sim_that_finishes_twice_can_be_asked_as_long_after_the_second_time(
+    start: Callable[..., Any], peer: Any
+) -> None:
+    quick: dict[str, Any] = {'real_time_factor': 20.0, 'time_limit': 1.0}
+    process = start('sim', end_when_finished=True, **quick, **SMALL)
+    shepherd = Shepherd(peer)
+    peer.spin_until(lambda: shepherd.newest() >= 1_000_000_000)
+    peer.spin_for(1.2)
+    assert peer.call(Trigger, 'sim/reset', Trigger.Request()).success
+    peer.spin_until(lambda: shepherd.newest() < 1_000_000_000)
+    peer.spin_until(lambda: shepherd.newest() >= 1_000_000_000)
+    peer.spin_for(1.5)  # when the first end was due
+    assert process.process.poll() is None
+    process.wait()
+
+
 def test_sensors_are_as_noisy_as_told(start: Callable[..., Any], peer: Any) -> None:
     """Four standard errors of a standard deviation over 400 sheep and two coordinates: 10 %."""
     start('sim', lockstep=True, sheep=400, dogs=1, position_noise=0.02, velocity_noise=0.03)
