@@ -185,10 +185,8 @@ class RunRecorder:
 
     def markers(self, topic: str, ns: int, points: dict[str, Any], frame: str = 'map') -> None:
         """Record markers by their names, after one that removes all."""
-        header, colour = (
-            self.header(ns, frame),
-            self.make('std_msgs/ColorRGBA', r=0, g=0, b=0, a=1),
-        )
+        header = self.header(ns, frame)
+        colour = self.make('std_msgs/ColorRGBA', r=0, g=0, b=0, a=1)
         drawn = [
             self.make(
                 'visualization_msgs/Marker', header=header, ns=name, id=0, type=5, action=action,

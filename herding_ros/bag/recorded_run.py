@@ -6,13 +6,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 from herding_ros.markers import NOTHING, Surroundings
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+T = TypeVar('T')
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,11 @@ def in_play(routes: Sequence[Route], time: float) -> Route | None:
     return max(reversed(begun), key=lambda route: route.times[0], default=None)
 
 
+def _begun(dated: Sequence[tuple[float, T]], time: float) -> list[T]:
+    """Return what has begun by a time [s], of things with the times at which they begin."""
+    return [each for since, each in dated if since <= time]
+
+
 @dataclass(frozen=True)
 class RecordedRun:
     """A recorded run: T states of N sheep and M dogs, K commands.
@@ -117,12 +123,12 @@ class RecordedRun:
 
     def surroundings_at(self, time: float) -> Surroundings:
         """Return what the controller knew at a time [s]."""
-        known = [each for since, each in self.surroundings if since <= time]
+        known = _begun(self.surroundings, time)
         return known[-1] if known else NOTHING
 
     def goal_at(self, time: float) -> Array | None:
         """Return the destination (2,) [m] in force at a time [s], None if there is none."""
-        begun = [goal for since, goal in self.goals if since <= time]
+        begun = _begun(self.goals, time)
         return begun[-1] if begun else self.goals[0][1] if self.goals else self.goal
 
     @cached_property

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from herding_ros.bag.recorded_run import Array, in_play, RecordedRun
+from herding_ros.markers import NOTHING
 from herding_ros.model.field import Field
 from herding_ros.model.flock import centre
 import numpy as np
@@ -138,7 +139,11 @@ def _plans(run: RecordedRun) -> tuple[Array, Array, Array]:
 def _further(run: RecordedRun, place: Field) -> list[list[Any]]:
     """Return walls (n, 2, 2) [m] that the controller met in the field, since when [s] each."""
     found: list[list[Any]] = []
+    known: Array = NOTHING.walls
     for since, around in run.surroundings:
+        if np.array_equal(around.walls, known):  # it is the route that is new
+            continue
+        known = around.walls
         walls = np.round(further(place, around.walls), 4).tolist()
         if walls != (found[-1][1] if found else []):
             found.append([since, walls])
