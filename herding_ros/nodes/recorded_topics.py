@@ -30,6 +30,10 @@ OVERLAP = 1.0
 """Time in which a new subscription is matched, while the one that it replaces goes on [s]."""
 
 
+LOOK_ROUNDS = 20
+"""Rounds after which a topic with as many ends as before is looked at: one may be another."""
+
+
 _MOST_SEEN = 1000
 """Messages that are remembered, since they may come again, while no publisher is known."""
 
@@ -53,6 +57,8 @@ class RecordedTopics:
         self._is_wanted = is_wanted
         self._add = add
         self._followed: dict[str, _Followed] = {}
+        self._round = 0
+        self._ends: dict[str, tuple[int, int]] = {}  # of each topic, as `_count_ends` has them
         self._reported: set[tuple[str, ...]] = set()  # topics and types that were warned of
         self._for_next_round: list[Received] = []
         self._lost = 0  # since the last take_lost()
@@ -61,10 +67,22 @@ class RecordedTopics:
         return sum(topic.is_added for topic in self._followed.values())
 
     def discover(self) -> None:
-        """Follow new topics and publishers."""
-        for topic, _ in self._node.get_topic_names_and_types():
-            if self._is_wanted(topic):
-                self._follow(topic)
+        """Follow new topics and publishers.
+
+        To look at the ends of a topic takes ten times as long as to count them.
+        """
+        topics = self._node.get_topic_names_and_types()
+        names = [name for name, _ in topics if self._is_wanted(name)]
+        before, self._ends = self._ends, {name: self._count_ends(name) for name in names}
+        self._round += 1
+        for k, name in enumerate(names, start=self._round):
+            if self._ends[name] != before.get(name) or k % LOOK_ROUNDS == 0:
+                self._follow(name)
+
+    def _count_ends(self, name: str) -> tuple[int, int]:
+        """Return how many publishers a topic has, and how many subscribers if it has none."""
+        publishers = self._node.count_publishers(name)
+        return publishers, 0 if publishers else self._node.count_subscribers(name)
 
     def take(self) -> list[Received]:
         """Return what has come in before now, in that order.

@@ -19,7 +19,7 @@ from builtin_interfaces.msg import Time
 from herding_ros import __version__
 from herding_ros.bag.recovery import recover
 from herding_ros.nodes.middleware import start_ros
-from herding_ros.nodes.recorded_topics import NewTopic, RecordedTopics
+from herding_ros.nodes.recorded_topics import LOOK_ROUNDS, NewTopic, RecordedTopics
 from herding_ros.nodes.recorder import Recorder
 from mcap.reader import make_reader
 import pytest
@@ -433,6 +433,44 @@ def test_subscription_holds_all_that_comes_while_the_disk_makes_it_wait(domain: 
         received = [message.data for message in topics.take_last()]
         assert received == [text_message(f'{k}') for k in range(6000)]
         assert [topic.name for topic in added] == ['/topic']
+
+
+def test_publishers_are_looked_at_when_there_are_more_or_fewer_and_seldom_otherwise(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One query for each of hundreds of topics, ten times a second, takes half a core."""
+    with other_node(domain, 'listener') as listener, other_node(domain, 'talker') as talker:
+        topics = RecordedTopics(listener, lambda name: name.startswith('/topic'), lambda _: None)
+        publishers = [talker.create_publisher(String, f'/topic_{k}', RELIABLE) for k in range(20)]
+
+        def are_followed() -> bool:
+            topics.discover()
+            return is_heard(publishers) and len(topics) == len(publishers)
+
+        wait_until(are_followed)
+        topics.discover()
+        asked: list[str] = []
+        for name in ('get_publishers_info_by_topic', 'get_subscriptions_info_by_topic'):
+            ask = getattr(listener, name)
+            monkeypatch.setattr(
+                listener, name, lambda topic, ask=ask: asked.append(topic) or ask(topic)
+            )
+        for _ in range(2 * LOOK_ROUNDS):
+            topics.discover()
+        assert len(asked) <= 2 * len(publishers)
+        assert set(asked) == {publisher.topic_name for publisher in publishers}
+        # Another in its place, between two rounds, which offers less: they are as many as before.
+        talker.destroy_publisher(publishers[7])
+        publishers[7] = talker.create_publisher(String, '/topic_7', BEST_EFFORT)
+        wait_until(
+            lambda: [
+                each.qos_profile.reliability
+                for each in listener.get_publishers_info_by_topic('/topic_7')
+            ] == [ReliabilityPolicy.BEST_EFFORT]
+        )  # fmt: skip
+        for _ in range(LOOK_ROUNDS):
+            topics.discover()
+        wait_until(lambda: is_heard(publishers))
 
 
 def test_nodes_that_come_and_go_leave_no_clients(
