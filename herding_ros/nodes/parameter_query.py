@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A request for all parameters of another node, in the background."""
+"""Requests for all parameters of other nodes, in the background."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 import time
 from typing import Any
 
@@ -14,8 +15,61 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.task import Future
 
+from .publishing import full_name, node_of
+
 REPLY_TIMEOUT = 1.0
 """Time after which the request is repeated [s]."""
+
+LOOK_PERIOD = 1.0
+"""Time after which nodes are looked at though their names are the same: one may be another [s]."""
+
+
+class ParameterQueries:
+    """Asks the nodes whose full names `is_wanted` accepts, each once in its life."""
+
+    def __init__(self, node: Node, is_wanted: Callable[[str], bool]) -> None:
+        self._node = node
+        self._is_wanted = is_wanted
+        self._names: list[tuple[str, str]] = []
+        self._next_look = 0.0
+        self._lives: dict[str, set[bytes]] = {}
+        self._queries: dict[str, ParameterQuery] = {}
+
+    def answers(self) -> dict[str, dict[str, Any]]:
+        """Ask, and return the values of nodes that have answered since the last call."""
+        names, now = self._node.get_node_names_and_namespaces(), time.monotonic()
+        if names != self._names or now >= self._next_look:
+            self._names, self._next_look = names, now + LOOK_PERIOD
+            self._look({full_name(namespace, name) for name, namespace in names})
+        answers = {}
+        for name, query in list(self._queries.items()):
+            query.advance()
+            if query.values is not None:
+                answers[name] = query.values
+                self._end(name)
+        return answers
+
+    def _look(self, names: Iterable[str]) -> None:
+        """Find out who is new.
+
+        A name need not go when another node takes it: one that was killed stays in the graph for
+        a while. But each node has a publisher of its own of its parameters' changes.
+        """
+        publishers = defaultdict(set)
+        for each in self._node.get_publishers_info_by_topic('/parameter_events'):
+            publishers[node_of(each)].add(bytes(each.endpoint_gid))
+        before, self._lives = self._lives, {}
+        for name in filter(self._is_wanted, names):
+            known = before.get(name, set())
+            self._lives[name] = publishers[name] or known
+            is_another = known and self._lives[name] - known
+            if (name not in before or is_another) and name not in self._queries:
+                self._queries[name] = ParameterQuery(self._node, name)
+        for name in self._queries.keys() - self._lives.keys():
+            self._end(name)
+
+    def _end(self, name: str) -> None:
+        self._queries.pop(name).destroy()
 
 
 class ParameterQuery:

@@ -32,7 +32,7 @@ from .herding_node import HerdingNode
 from .log_clock import LogClock, rewritten
 from .middleware import start_ros
 from .mismatches import Mismatches
-from .parameter_query import ParameterQuery
+from .parameter_query import ParameterQueries
 from .parameters import declare
 from .publishing import CLOCK, CountingPublisher, EVERY_MESSAGE, full_name
 from .recorded_topics import RecordedTopics
@@ -89,9 +89,8 @@ class Recorder(HerdingNode):
         self._clock_topic = self.resolve_topic_name(CLOCK)
         self._shared = {self.resolve_topic_name(topic) for topic in (CLOCK, *SHARED)}
         self._topics = RecordedTopics(self, self._is_wanted, self._add_topic)
-        self._queries: dict[str, ParameterQuery] = {}
+        self._queries = ParameterQueries(self, self._is_within)
         self._parameters_of: dict[str, dict[str, Any]] = {}
-        self._answered: set[str] = set()
         self._log_clock = LogClock()
         self._bytes = 0
         self._lost = 0
@@ -185,23 +184,9 @@ class Recorder(HerdingNode):
 
     def _search_graph(self) -> None:
         self._topics.discover()
-        present = {
-            node
-            for name, namespace in self.get_node_names_and_namespaces()
-            if self._is_within(node := full_name(namespace, name))
-        }
-        self._answered &= present  # one that comes again may have others
-        for node in present - self._answered - self._queries.keys():
-            self._queries[node] = ParameterQuery(self, node)
-        for node in self._queries.keys() - present:
-            self._queries.pop(node).destroy()
-        for node, query in list(self._queries.items()):
-            query.advance()
-            if query.values is not None:
-                self._parameters_of[node] = query.values
-                self._answered.add(node)
-                self._queries.pop(node).destroy()
-                self._keep_custom_data()
+        if answers := self._queries.answers():
+            self._parameters_of.update(answers)
+            self._keep_custom_data()
 
     def _is_wanted(self, topic: str) -> bool:
         # In a simulation the log times are the clock's, so it is wanted in any case.

@@ -40,7 +40,7 @@ from std_srvs.srv import SetBool, Trigger
 from . import command_line, messages
 from .herd_seen import HerdSeen
 from .herding_node import HerdingNode
-from .parameter_query import ParameterQuery
+from .parameter_query import ParameterQueries
 from .parameters import declare
 from .publishing import CountingPublisher, EVERY_MESSAGE, full_name
 from .running import run
@@ -129,7 +129,8 @@ class View(PageNode):
             ),
         )
         self._statuses: dict[str, tuple[str, dict[str, str]]] = {}
-        self._queries: dict[str, ParameterQuery] = {}
+        self._named = {full_name(self.get_namespace(), node): node for node in _NODES}
+        self._queries = ParameterQueries(self, self._named.__contains__)
         self._values: dict[str, dict[str, Any]] = {}
         self._wanted: dict[str, float] = {}
         self._setting: dict[str, float] = {}
@@ -225,23 +226,9 @@ class View(PageNode):
     # Parameters of other nodes.
 
     def _ask_for_parameters(self) -> None:
-        here = {
-            full_name(namespace, name) for name, namespace in self.get_node_names_and_namespaces()
-        }
-        for node in _NODES:
-            name = full_name(self.get_namespace(), node)
-            if name not in here:
-                if query := self._queries.pop(node, None):
-                    query.destroy()
-                continue
-            if node not in self._queries:
-                self._queries[node] = ParameterQuery(self, name)
-            query = self._queries[node]
-            if query.values is None:
-                query.advance()
-            elif self._values.get(node) is not query.values:
-                self._values[node] = query.values
-                self._take_parameters()
+        for name, values in self._queries.answers().items():
+            self._values[self._named[name]] = values
+            self._take_parameters()
 
     def _take_parameters(self) -> None:
         sim = self._values.get('sim', {})
@@ -260,12 +247,11 @@ class View(PageNode):
 
     def _on_event(self, event: ParameterEvent) -> None:
         """Show a value that somebody has changed."""
-        for node, values in self._values.items():
-            if event.node == full_name(self.get_namespace(), node):
-                for changed in event.changed_parameters:
-                    values[changed.name] = parameter_value_to_python(changed.value)
-                    if changed.name not in self._wanted:
-                        self._panel.show_value(changed.name, values[changed.name])
+        values = self._values.get(self._named.get(event.node, ''), {})
+        for changed in event.changed_parameters:
+            values[changed.name] = parameter_value_to_python(changed.value)
+            if changed.name not in self._wanted:
+                self._panel.show_value(changed.name, values[changed.name])
 
     # What is asked for.
 

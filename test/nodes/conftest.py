@@ -224,6 +224,10 @@ class Peer:
         self.node.create_subscription(kind, topic, received.append, qos)
         return received
 
+    def add(self, node: Any) -> None:
+        """Let another node be spun, too."""
+        self._executor.add_node(node)
+
     def spin_until(self, condition: Callable[[], object], limit: float = LIMIT) -> None:
         end = time.monotonic() + limit
         while not condition():

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 import io
 from pathlib import Path
@@ -15,11 +15,14 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from herding_ros.nodes import view
+from herding_ros.nodes.middleware import start_ros
 import numpy as np
 from PIL import Image
 import psutil
 import pytest
 from rcl_interfaces.srv import GetParameters
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -158,16 +161,16 @@ def test_reset_begins_anew(watched: Watched) -> None:
     watched.peer.spin_until(lambda: float(watched.values('sim: herd')['time_s']) < before, 10.0)
 
 
-def test_view_asks_with_no_more_clients_the_longer_it_looks(watched: Watched) -> None:
-    """Each that comes or goes is made known to all nodes, which takes their time."""
+def test_view_that_has_been_answered_asks_no_more(watched: Watched) -> None:
+    """Each client that comes or goes is made known to all nodes, which takes their time."""
+    counts: list[int] = []
 
-    def clients() -> int:
-        return int(watched.peer.node.count_clients('/sim/list_parameters'))
+    def is_over(end: float = time.monotonic() + 2.0) -> bool:
+        counts.append(watched.peer.node.count_clients('/sim/list_parameters'))
+        return time.monotonic() > end
 
-    watched.peer.spin_until(clients)
-    before = clients()
-    watched.peer.spin_for(2.0)
-    assert clients() == before
+    watched.peer.spin_until(is_over)
+    assert set(counts) == {0}
 
 
 def test_browser_has_nothing_to_complain_of(watched: Watched) -> None:
@@ -249,6 +252,56 @@ def test_bag_that_is_none_is_refused_in_a_word(start: Callable[..., Any], tmp_pa
     assert process.wait() == 2
     assert 'cannot start' in process.log
     assert 'Traceback' not in process.log
+
+
+class Looking:
+    """A view without a process or a browser, which looks only when it is told to."""
+
+    def __init__(self, domain: int) -> None:
+        start_ros(['--ros-args', '-p', 'browser:=false'], domain_id=domain)
+        self.view = view.View()
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.view)
+
+    def look_until(self, condition: Callable[[], object], peer: Any) -> None:
+        def look() -> object:
+            self._executor.spin_once(timeout_sec=0.01)
+            return condition()
+
+        peer.spin_until(look, 20.0)
+
+    def value(self, name: str) -> Any:
+        return self.view._values.get('sim', {}).get(name)
+
+
+@pytest.fixture
+def looking(domain: int) -> Iterator[Looking]:
+    one = Looking(domain)
+    yield one
+    one.view.destroy_node()
+    rclpy.shutdown()
+
+
+def test_node_that_comes_again_between_two_looks_has_its_new_values_shown(
+    looking: Looking, peer: Any
+) -> None:
+    def begin(noise: float) -> Any:
+        sim = rclpy.create_node('sim', context=peer.node.context)
+        sim.declare_parameter('crowd.noise', noise)
+        peer.add(sim)
+        return sim
+
+    def lives() -> list[bytes]:
+        found = looking.view.get_publishers_info_by_topic('/parameter_events')
+        return [bytes(each.endpoint_gid) for each in found if each.node_name == 'sim']
+
+    sim = begin(0.01)
+    looking.look_until(lambda: looking.value('crowd.noise') == 0.01, peer)
+    (first,) = lives()
+    sim.destroy_node()
+    begin(0.02)
+    peer.spin_until(lambda: len(lives()) == 1 and first not in lives())
+    looking.look_until(lambda: looking.value('crowd.noise') == 0.02, peer)
 
 
 def test_limits_of_speed_are_not_raised_by_a_slider() -> None:
