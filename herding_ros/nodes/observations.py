@@ -136,6 +136,7 @@ class Observations:
         """Return what was observed recently at `now` [ns]; None without sheep or any dog."""
         if is_set_back(now * 1e-9, self._now * 1e-9, self._control_period):
             self._forget()
+            self._waiting.clear()
         self._now = now
         self._take(now)
         oldest = now - self._timeout * 1e9

@@ -22,6 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from rclpy.clock import ClockType, ROSClock
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from scipy.spatial.transform import Rotation
@@ -42,6 +43,9 @@ class Buffer:
     def learn(self, source: str, transform: TransformStamped, newest: int = 2**62) -> None:
         """From `source` into map, up to a stamp."""
         self.known['map', source] = transform, newest
+
+    def clear(self) -> None:
+        self.known.clear()
 
     def lookup_transform(self, target: str, source: str, time: Time) -> TransformStamped:
         self.asked.append((target, source, time.nanoseconds))
@@ -167,14 +171,13 @@ def test_our_own_frame_needs_no_transform_and_an_unknown_one_is_named() -> None:
         messages.goal_in(serialize_message(PoseStamped()), 'map', frames)
 
 
-def test_tf_is_listened_to_where_it_can_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
-    node: Any = object()
-    monkeypatch.setitem(sys.modules, 'tf2_ros', None)
-    assert Frames.of(node, 'map') is None
-    listeners: list[tuple[Buffer, Any]] = []
+@pytest.fixture
+def listeners(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Buffer, Any]]:
+    """Buffers and nodes of those that listen to tf."""
+    found: list[tuple[Buffer, Any]] = []
 
     def listen(buffer: Buffer, node: Any) -> object:
-        listeners.append((buffer, node))
+        found.append((buffer, node))
         buffer.learn('odo', transform(1.0, 2.0, 0.0))
         return object()
 
@@ -182,12 +185,40 @@ def test_tf_is_listened_to_where_it_can_be_imported(monkeypatch: pytest.MonkeyPa
         Buffer=Buffer, TransformListener=listen, TransformException=TransformError
     )
     monkeypatch.setitem(sys.modules, 'tf2_ros', module)
+    return found
+
+
+def test_tf_is_listened_to_where_it_can_be_imported(
+    listeners: list[tuple[Buffer, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node: Any = SimpleNamespace(get_clock=ROSClock)
     frames = Frames.of(node, 'map')
     assert frames is not None
     assert listeners[0][1] is node
     assert frames.placement('sheep', 'odo', 3) == Placement(1.0, 2.0, 0.0)
     with pytest.raises(NoTransformError):
         frames.placement('sheep', 'base', 3)
+    monkeypatch.setitem(sys.modules, 'tf2_ros', None)
+    assert Frames.of(node, 'map') is None
+
+
+def test_transforms_of_a_former_run_are_forgotten_when_time_goes_back(
+    listeners: list[tuple[Buffer, Any]],
+) -> None:
+    """Or tf2 would take none for being older than those, and the last of them would count."""
+    clock = ROSClock()
+    clock._set_ros_time_is_active(True)
+    node: Any = SimpleNamespace(get_clock=lambda: clock)
+    frames = Frames.of(node, 'map')
+    assert frames is not None
+    for seconds in (0, 1, 100):
+        clock.set_ros_time_override(Time(seconds=seconds, clock_type=ClockType.ROS_TIME))
+        assert frames.placement('sheep', 'odo', LATEST) == Placement(1.0, 2.0, 0.0)
+    clock.set_ros_time_override(Time(seconds=0, clock_type=ClockType.ROS_TIME))
+    with pytest.raises(NoTransformError):
+        frames.placement('sheep', 'odo', LATEST)
+    listeners[0][0].learn('odo', transform(3.0, 4.0, 0.0))
+    assert frames.placement('sheep', 'odo', LATEST) == Placement(3.0, 4.0, 0.0)
 
 
 class Box:
@@ -253,6 +284,12 @@ def test_observations_wait_for_their_transform_and_are_refused_when_it_does_not_
     assert 'extrapolation' in log.lines[0]
     clock(5.0)
     seen.recent(15 * tenth)
+    assert refused.counts == {'sheep: no transform': 1}
+    show(16 * tenth)
+    seen.recent(16 * tenth)
+    seen.recent(0)  # a reset: what waited is of the former run
+    clock(6.0)
+    seen.recent(10 * tenth)
     assert refused.counts == {'sheep: no transform': 1}
 
 

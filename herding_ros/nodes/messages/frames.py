@@ -11,6 +11,8 @@ from geometry_msgs.msg import TransformStamped
 from herding_ros.checks import check_size, Refused
 from herding_ros.model.state import Array
 import numpy as np
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
 
@@ -18,6 +20,10 @@ from .stamps import level_yaw
 
 LATEST = 0
 """In place of a stamp [ns]: the newest transform that there is."""
+
+_ANY_JUMP_BACK = JumpThreshold(
+    min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+)
 
 
 class NoTransformError(Refused):
@@ -67,17 +73,25 @@ class Frames:
 
     @classmethod
     def of(cls, node: Node, frame: str) -> Frames | None:
-        """Listen to tf on behalf of a node; None where tf2_ros cannot be imported."""
+        """Listen to tf on behalf of a node; None where tf2_ros cannot be imported.
+
+        When simulated time goes back, what was known before is forgotten.
+        """
         try:
             import tf2_ros
         except ImportError:
             return None
         buffer = tf2_ros.Buffer()
         frames = cls(frame, buffer, tf2_ros.TransformException)
-        frames._listener = tf2_ros.TransformListener(buffer, node)  # as long as it is kept
+        # Both as long as they are kept. A buffer takes nothing older than what it has.
+        frames._listener = tf2_ros.TransformListener(buffer, node)
+        frames._jumps = node.get_clock().create_jump_callback(
+            _ANY_JUMP_BACK, post_callback=lambda _: buffer.clear()
+        )
         return frames
 
     _listener: Any = None
+    _jumps: Any = None
 
     def placement(self, what: str, given: str, ns: int) -> Placement:
         """Return where the frame of a message lies at its stamp [ns]; Refused if unknown."""
