@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+import math
 import os
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -30,10 +31,10 @@ from herding_ros.view.page import Page
 from herding_ros.view.panel import LivePanel, Tunable, Wishes
 from herding_ros.view.playback import PERIOD, Playback
 import numpy as np
-from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import SetParameters
 from rclpy.clock import Clock, ClockType
-from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_parameter_events, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 
@@ -59,6 +60,9 @@ _SOME = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Nobody waits for a page to have read a status."""
 
 _NODES = ('sim', 'controller')
+
+_SIM, _CONTROLLER, _PLAN = 'sim: herd', 'controller: state', 'controller: plan'
+"""Statuses that are shown; those of all herds, and of drivers, come by the same topic."""
 
 _NICE = 5
 """A picture gives way to decisions on a busy machine."""
@@ -128,7 +132,9 @@ class View(PageNode):
                 set_value=self._later(self._want),
             ),
         )
-        self._statuses: dict[str, tuple[str, dict[str, str]]] = {}
+        self._statuses: dict[str, tuple[str, dict[str, str]]] = {
+            self._status_of(name): ('', {}) for name in (_SIM, _CONTROLLER)
+        }
         self._named = {full_name(self.get_namespace(), node): node for node in _NODES}
         self._queries = ParameterQueries(self, self._named.__contains__)
         self._values: dict[str, dict[str, Any]] = {}
@@ -191,10 +197,11 @@ class View(PageNode):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
-            self._statuses[status.name] = status.message, values
-            if status.name == self._status_of('controller: plan'):
+            if status.name in self._statuses:
+                self._statuses[status.name] = status.message, values
+            elif status.name == self._status_of(_PLAN):
                 for curve, key in ((self._solve, 'solve_ms'), (self._margin, 'deadline_margin_s')):
-                    curve.add(self._herd.time, float(values.get(key, 'nan')))
+                    curve.add(self._herd.time, _number_in(values.get(key, '')))
 
     def _status_of(self, name: str) -> str:
         return f'{self.get_namespace()}/{name}'.lstrip('/')
@@ -202,7 +209,7 @@ class View(PageNode):
     def _in_words(self) -> str:
         herd = self._herd
         silent = time.monotonic() - self._last_sheep
-        doing, values = self._statuses.get(self._status_of('sim: herd'), ('', {}))
+        doing, values = self._statuses[self._status_of(_SIM)]
         stands = doing in ('paused', 'finished')
         if not herd.ns and herd.frame is None:
             domain = os.environ.get('ROS_DOMAIN_ID', '0')
@@ -215,7 +222,7 @@ class View(PageNode):
             lines.append(f'no sheep for {silent:.0f} s')
         if doing:
             lines.append(f'sim: {values.get("outcome") or doing}')
-        controlling, counts = self._statuses.get(self._status_of('controller: state'), ('', {}))
+        controlling, counts = self._statuses[self._status_of(_CONTROLLER)]
         if controlling:
             missed = counts.get('deadlines_missed', '0')
             lines.append(f'controller: {controlling}; deadlines missed: {missed}')
@@ -232,9 +239,7 @@ class View(PageNode):
 
     def _take_parameters(self) -> None:
         sim = self._values.get('sim', {})
-        usual = Arrival()
-        known = {name: sim[name] for name in usual.flat('arrival.') if name in sim}
-        self._herd.arrival = usual.with_values(known, 'arrival.')
+        self._herd.arrival = _arrival_in(sim, self.get_logger())
         self._herd.field = _field_named(sim.get('field', ''), self.get_logger())
         offered: dict[str, Tunable] = {}
         for values in self._values.values():
@@ -249,9 +254,12 @@ class View(PageNode):
         """Show a value that somebody has changed."""
         values = self._values.get(self._named.get(event.node, ''), {})
         for changed in event.changed_parameters:
-            values[changed.name] = parameter_value_to_python(changed.value)
-            if changed.name not in self._wanted:
-                self._panel.show_value(changed.name, values[changed.name])
+            name, value = changed.name, changed.value
+            is_number = value.type == ParameterType.PARAMETER_DOUBLE
+            if name in values and is_number and math.isfinite(value.double_value):
+                values[name] = value.double_value
+                if name not in self._wanted:
+                    self._panel.show_value(name, values[name])
 
     # What is asked for.
 
@@ -356,6 +364,7 @@ def _tunables(values: dict[str, Any]) -> dict[str, Tunable]:
             value,
             entry.field.metadata['unit'],
             entry.field.metadata['doc'],
+            min(entry.field.metadata['low'] or 0.0, 0.0),
             _highest(entry.name, value),
         )
         for entry in entries
@@ -363,11 +372,29 @@ def _tunables(values: dict[str, Any]) -> dict[str, Tunable]:
     }
 
 
-def _field_named(name: str, logger: Any) -> Field:
+def _number_in(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _arrival_in(sim: dict[str, Any], logger: Any) -> Arrival:
+    """Return when the sim's flock has arrived, as usual where that is not said."""
+    usual = Arrival()
+    known = {name: sim[name] for name in usual.flat('arrival.') if name in sim}
+    try:
+        return usual.with_values(known, 'arrival.')
+    except ValueError as error:  # of another program that is called sim
+        logger.warning(f'arrival.* are taken as usual: {error}')
+        return usual
+
+
+def _field_named(name: Any, logger: Any) -> Field:
     """Return the field of the sim, empty where there is none, or none that can be read here."""
     try:
         return read_field(name)[0] if name else Field()
-    except (OSError, ValueError) as error:
+    except (OSError, TypeError, ValueError) as error:
         logger.warning(f'the walls are not drawn: {error}')
         return Field()
 

@@ -21,11 +21,12 @@ _STEPS = 200
 
 @dataclass(frozen=True)
 class Tunable:
-    """A parameter that may change: its value, unit and meaning, and how far a slider goes."""
+    """A parameter that may change: its value, unit and meaning, and the ends of its slider."""
 
     value: float
     unit: str
     doc: str
+    lowest: float
     highest: float
 
 
@@ -92,9 +93,9 @@ class LivePanel:
     def _slider(self, name: str, tunable: Tunable) -> viser.GuiSliderHandle[float]:
         slider = self._page.gui.add_slider(
             f'{name} [{tunable.unit}]' if tunable.unit else name,
-            0.0,
+            tunable.lowest,
             tunable.highest,
-            tunable.highest / _STEPS,
+            (tunable.highest - tunable.lowest) / _STEPS,
             tunable.value,
             hint=tunable.doc,
         )

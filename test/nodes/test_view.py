@@ -6,13 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 import io
+import math
 from pathlib import Path
 import re
 import signal
 import time
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from herding_ros.nodes import view
 from herding_ros.nodes.middleware import start_ros
@@ -20,6 +21,14 @@ import numpy as np
 from PIL import Image
 import psutil
 import pytest
+from rcl_interfaces.msg import (
+    Parameter as ParameterMessage,
+)
+from rcl_interfaces.msg import (
+    ParameterEvent,
+    ParameterType,
+    ParameterValue,
+)
 from rcl_interfaces.srv import GetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -302,6 +311,47 @@ def test_node_that_comes_again_between_two_looks_has_its_new_values_shown(
     begin(0.02)
     peer.spin_until(lambda: len(lives()) == 1 and first not in lives())
     looking.look_until(lambda: looking.value('crowd.noise') == 0.02, peer)
+
+
+def test_strangers_neither_end_a_view_nor_fill_it(looking: Looking, peer: Any) -> None:
+    """All herds and drivers share a topic of statuses, and one of parameter events."""
+    sim = rclpy.create_node('sim', context=peer.node.context)
+    odd = {'field': 7, 'arrival.radius': 'near', 'crowd.noise': 0.01}
+    for name, value in odd.items():
+        sim.declare_parameter(name, value)
+    peer.add(sim)
+    looking.look_until(lambda: looking.value('crowd.noise') == 0.01, peer)
+    statuses = peer.talk_to(DiagnosticArray, '/diagnostics')
+    events = peer.talk_to(ParameterEvent, '/parameter_events')
+    soon = [KeyValue(key='solve_ms', value='soon')]
+    odd_values = (
+        ParameterValue(type=ParameterType.PARAMETER_STRING, string_value='much'),
+        ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=math.nan),
+        ParameterValue(type=200),
+    )
+    changes = [ParameterMessage(name='crowd.noise', value=value) for value in odd_values]
+    for k in range(200):
+        number = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=0.02)
+        new = ParameterMessage(name=f'new_{k}', value=number)
+        newest = ParameterMessage(name='crowd.noise', value=number)
+        events.publish(ParameterEvent(node='/sim', changed_parameters=[newest, *changes, new]))
+        named = [DiagnosticStatus(name=f'driver_{k}'), DiagnosticStatus(name='sim: herd')]
+        named[1].message = f'{k}'
+        named.append(DiagnosticStatus(name='controller: plan', values=soon))
+        statuses.publish(DiagnosticArray(status=named))
+    looking.look_until(lambda: looking.view._statuses['sim: herd'][0] == '199', peer)
+    looking.look_until(lambda: looking.value('crowd.noise') == 0.02, peer)
+    assert len(looking.view._statuses) <= 3
+    assert not [name for name in looking.view._values['sim'] if name.startswith('new_')]
+
+
+def test_value_below_nothing_has_a_slider_that_reaches_it(looking: Looking, peer: Any) -> None:
+    sim = rclpy.create_node('sim', context=peer.node.context)
+    sim.declare_parameter('crowd.noise_field.patch', -0.5)
+    peer.add(sim)
+    looking.look_until(lambda: looking.value('crowd.noise_field.patch') == -0.5, peer)
+    (tunable,) = view._tunables(looking.view._values['sim']).values()
+    assert tunable.lowest == -1.0
 
 
 def test_limits_of_speed_are_not_raised_by_a_slider() -> None:
