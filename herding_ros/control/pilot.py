@@ -424,9 +424,10 @@ class Pilot:
 
     def _say(self, level: str, text: str, cause: str = '') -> None:
         """Add an event, unless one of the same cause, else the same one, was added recently."""
-        cause = cause or text
-        if not self._time < self._said.get(cause, -math.inf) + _REPEAT:
-            self._said[cause] = self._time
+        now, cause = self._time, cause or text
+        self._said = {said: when for said, when in self._said.items() if now < when + _REPEAT}
+        if cause not in self._said:
+            self._said[cause] = now
             self._events.append(Event(level, text))
 
     def _decision(self, command: Array | None, announcement: Announcement | None) -> Decision:

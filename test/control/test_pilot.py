@@ -1041,6 +1041,21 @@ def test_a_dog_that_stumbles_again_and_again_is_told_of_once_in_half_a_minute() 
     assert told[1] - told[0] > 29.0
 
 
+def test_what_was_said_long_ago_is_not_kept() -> None:
+    """Such as which sheep were lost: a tracker may give each sight of one another name."""
+    pilot = LockstepPilot(FakePlanner(Control(horizon=HORIZON)), 1)
+    kept = []
+    for k in range(100):
+        pilot._time = 10.0 * k
+        pilot._say('info', f'sheep {k} is lost')
+        pilot._say('info', 'said again after half a minute')
+        kept.append(len(pilot._said))
+    assert max(kept) <= 4
+    texts = [event.text for event in pilot._events]
+    assert set(texts) > {f'sheep {k} is lost' for k in range(100)}
+    assert texts.count('said again after half a minute') == 34
+
+
 def test_commands_under_way_are_predicted() -> None:
     """The herd is planned for as it will be once they have been carried out."""
     control, goal = Control(delay=0.5), np.array([0.5, 0.5])
