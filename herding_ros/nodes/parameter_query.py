@@ -12,7 +12,7 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters, GetParameterTypes, ListParameters
 from rclpy.client import Client
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.task import Future
 
 from .publishing import full_name, node_of
@@ -22,6 +22,8 @@ REPLY_TIMEOUT = 1.0
 
 LOOK_PERIOD = 1.0
 """Time after which nodes are looked at though their names are the same: one may be another [s]."""
+
+_KINDS = {kind.value for kind in Parameter.Type}
 
 
 class ParameterQueries:
@@ -120,8 +122,11 @@ class ParameterQuery:
 
     def _take_set_names(self, names: list[str]) -> None:
         def take_values(reply: GetParameters.Response) -> None:
-            values = map(parameter_value_to_python, reply.values)
-            self.values = dict(zip(names, values, strict=False))
+            self.values = {
+                name: parameter_value_to_python(value)
+                for name, value in zip(names, reply.values, strict=False)
+                if value.type in _KINDS
+            }
 
         _call(self._values, GetParameters.Request(names=names), take_values)
 
