@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from copy import copy
-from typing import TYPE_CHECKING
+from typing import NamedTuple, TYPE_CHECKING
 
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.clock import Clock, ClockType
@@ -20,6 +20,7 @@ from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile, Reliab
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from .graph import Looks
 from .inbox import Inbox
 from .publishing import node_of
 from .wire import type_name
@@ -34,6 +35,13 @@ _MOST_LOGGED = 100
 """A stranger may make up any number of nodes."""
 
 
+class _Known(NamedTuple):
+    """What does not match of a topic, and whether no end was just discovered, without a name."""
+
+    mismatches: list[tuple[str, str]]
+    is_all: bool
+
+
 class Mismatches:
     """Who cannot hear a node or be heard by it: logged once, reported for as long as it lasts.
 
@@ -44,6 +52,8 @@ class Mismatches:
         self._node = node
         self._with_subscriptions = subscriptions
         self._inboxes: tuple[Inbox, ...] = ()
+        self._looks, self._looks_to_follow = Looks(), Looks()
+        self._known: dict[Publisher | Subscription, _Known] = {}
         self._found: dict[str, str] = {}
         self._lasting: dict[str, str] = {}
         self._logged: set[tuple[str, str]] = set()
@@ -60,7 +70,9 @@ class Mismatches:
 
     def check(self) -> None:
         """Search the graph, follow what is offered, and log what is new."""
-        for inbox in self._inboxes:
+        count = self._node.count_publishers
+        publishers = {inbox: count(inbox.subscription.topic_name) for inbox in self._inboxes}
+        for inbox in self._looks_to_follow.due(publishers):
             self._follow(inbox)
         found = dict(self._search())
         self._lasting = {key: cause for key, cause in found.items() if key in self._found}
@@ -86,20 +98,36 @@ class Mismatches:
     def _search(self) -> Iterable[tuple[str, str]]:
         """Yield topic with node, and cause with remedy, of each mismatch."""
         node = self._node
-        for publisher in node.publishers:
-            for other in node.get_subscriptions_info_by_topic(publisher.topic_name):
-                yield from self._compare(publisher, other)
+        counts: dict[Publisher | Subscription, int] = {
+            publisher: node.count_subscribers(publisher.topic_name)
+            for publisher in node.publishers
+        }
         for subscription in node.subscriptions if self._with_subscriptions else ():
-            for other in node.get_publishers_info_by_topic(subscription.topic_name):
-                yield from self._compare(subscription, other)
+            counts[subscription] = node.count_publishers(subscription.topic_name)
+        due = set(self._looks.due(counts))
+        known = self._known
+        self._known = {
+            ours: known[ours] if ours not in due and known[ours].is_all else self._look(ours)
+            for ours in counts
+        }
+        for each in self._known.values():
+            yield from each.mismatches
+
+    def _look(self, ours: Publisher | Subscription) -> _Known:
+        node, topic = self._node, ours.topic_name
+        if isinstance(ours, Subscription):
+            others = node.get_publishers_info_by_topic(topic)
+        else:
+            others = node.get_subscriptions_info_by_topic(topic)
+        named = [other for other in others if node_of(other)]
+        mismatches = [found for other in named for found in self._compare(ours, other)]
+        return _Known(mismatches, len(named) == len(others))
 
     def _compare(
         self, ours: Publisher | Subscription, other: TopicEndpointInfo
     ) -> Iterable[tuple[str, str]]:
         is_heard = isinstance(ours, Subscription)
         name, kind = node_of(other), type_name(ours.msg_type)
-        if not name:  # just discovered
-            return
         key = f'{ours.topic_name} {"from" if is_heard else "to"} {name}'
         if other.topic_type != kind:
             what = 'publishes' if is_heard else 'subscribes to'

@@ -15,6 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from .graph import Looks
 from .inbox import MOST_AT_ONCE
 from .tap import Received, Tap
 from .topic_qos import adapted_qos, asks_more, is_same, qos_map
@@ -28,10 +29,6 @@ Room is taken when they come in. What does not fit is dropped without a word.
 
 OVERLAP = 1.0
 """Time in which a new subscription is matched, while the one that it replaces goes on [s]."""
-
-
-LOOK_ROUNDS = 20
-"""Rounds after which a topic with as many ends as before is looked at: one may be another."""
 
 
 _MOST_SEEN = 1000
@@ -57,8 +54,7 @@ class RecordedTopics:
         self._is_wanted = is_wanted
         self._add = add
         self._followed: dict[str, _Followed] = {}
-        self._round = 0
-        self._ends: dict[str, tuple[int, int]] = {}  # of each topic, as `_count_ends` has them
+        self._looks = Looks()
         self._reported: set[tuple[str, ...]] = set()  # topics and types that were warned of
         self._for_next_round: list[Received] = []
         self._lost = 0  # since the last take_lost()
@@ -67,17 +63,11 @@ class RecordedTopics:
         return sum(topic.is_added for topic in self._followed.values())
 
     def discover(self) -> None:
-        """Follow new topics and publishers.
-
-        To look at the ends of a topic takes ten times as long as to count them.
-        """
+        """Follow new topics and publishers."""
         topics = self._node.get_topic_names_and_types()
         names = [name for name, _ in topics if self._is_wanted(name)]
-        before, self._ends = self._ends, {name: self._count_ends(name) for name in names}
-        self._round += 1
-        for k, name in enumerate(names, start=self._round):
-            if self._ends[name] != before.get(name) or k % LOOK_ROUNDS == 0:
-                self._follow(name)
+        for name in self._looks.due({name: self._count_ends(name) for name in names}):
+            self._follow(name)
 
     def _count_ends(self, name: str) -> tuple[int, int]:
         """Return how many publishers a topic has, and how many subscribers if it has none."""

@@ -9,6 +9,7 @@ from typing import Any
 from unittest.mock import Mock
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from herding_ros.nodes.graph import LOOK_ROUNDS
 from herding_ros.nodes.herding_node import HerdingNode
 from herding_ros.nodes.inbox import Inbox
 from herding_ros.nodes.middleware import start_ros
@@ -104,6 +105,43 @@ def test_a_best_effort_publisher_is_followed_and_received(
     assert inbox.subscription.qos_profile.depth == 10
     assert not mismatches.report_values()
     assert len(list(ours.subscriptions)) == 1
+
+
+def test_others_are_looked_at_when_there_are_more_or_fewer_and_seldom_otherwise(
+    ours: Any,
+    peer: Any,
+    wait_until: Callable[[Callable[[], object]], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is the thread of the commands that looks, and fifty dogs have hundreds of topics."""
+    topics = [f'/topic_{k}' for k in range(10)]
+    inboxes = [Inbox(ours, PointCloud2, topic, 10) for topic in topics]
+    mismatches = Mismatches(ours)
+    mismatches.follow(inboxes)
+    publishers = [peer.node.create_publisher(PointCloud2, topic, 10) for topic in topics]
+    wait_until(lambda: all(publisher.get_subscription_count() for publisher in publishers))
+    wait_until(lambda: all(ours.count_publishers(topic) for topic in topics))
+    for _ in range(2):
+        mismatches.check()
+    asked: list[str] = []
+    for name in ('get_publishers_info_by_topic', 'get_subscriptions_info_by_topic'):
+        ask = getattr(ours, name)
+        monkeypatch.setattr(ours, name, lambda topic, ask=ask: asked.append(topic) or ask(topic))
+    for _ in range(LOOK_ROUNDS):
+        mismatches.check()
+    counts = [asked.count(topic) for topic in topics]
+    assert max(counts) <= 3
+    assert min(counts) >= 1
+    # Another in the place of one, between two checks: they are as many as before.
+    peer.node.destroy_publisher(publishers[3])
+    peer.node.create_publisher(PoseStamped, topics[3], 10)
+    wait_until(
+        lambda: {each.topic_type for each in ours.get_publishers_info_by_topic(topics[3])}
+        == {'geometry_msgs/msg/PoseStamped'}
+    )  # fmt: skip
+    for _ in range(LOOK_ROUNDS + 1):
+        mismatches.check()
+    assert list(mismatches.report_values()) == [f'not matched: {topics[3]} from /peer']
 
 
 @pytest.mark.parametrize(

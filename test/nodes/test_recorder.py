@@ -18,8 +18,9 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from herding_ros import __version__
 from herding_ros.bag.recovery import recover
+from herding_ros.nodes.graph import LOOK_ROUNDS
 from herding_ros.nodes.middleware import start_ros
-from herding_ros.nodes.recorded_topics import LOOK_ROUNDS, NewTopic, RecordedTopics
+from herding_ros.nodes.recorded_topics import NewTopic, RecordedTopics
 from herding_ros.nodes.recorder import Recorder
 from mcap.reader import make_reader
 import pytest
