@@ -30,6 +30,9 @@ _DEPTHS = {MAP: 1, OBSTACLE: 100}
 _MOST_WAITING = 100
 """Obstacles that wait to be taken in."""
 
+_MOST_SAID = 100
+"""Frames without a transform that are logged: a stranger may make up any number."""
+
 _RETRY_PERIOD = 1.0
 """Wall time after which it is looked again for a transform [s]."""
 
@@ -101,8 +104,10 @@ class Maps:
         except ValueError as error:
             self._refused.add_request(topic, error)
         else:
-            if topic == MAP:
+            if topic == MAP:  # of those before none counts any more
                 self._waiting = [each for each in self._waiting if each[0] != MAP]
+                late = self._without_transform
+                self._without_transform = [each for each in late if each[0] != MAP]
             self._waiting.append((topic, change))
             self._go_on()
 
@@ -128,7 +133,7 @@ class Maps:
             self._refused.add_request(topic, error)
             return
         self._without_transform = [*late, (topic, data)]
-        if error.cause not in self._said:
+        if error.cause not in self._said and len(self._said) < _MOST_SAID:
             self._said.add(error.cause)
             self._node.get_logger().warning(f'{topic} waits for its transform: {error}')
         if self._again is None:

@@ -314,3 +314,23 @@ def test_a_map_waits_for_its_transform_and_that_is_said_once() -> None:
     wall = walls_of(messages.grid_in(serialize_message(a_map(WALL)), 'map')).obstacles[0]
     placed = Placement(1.0, 2.0, 0.3).points(np.array(wall))
     np.testing.assert_allclose(live.fields[-1].obstacles[0], placed, atol=1e-9)
+
+
+def test_a_map_that_waits_is_forgotten_when_a_newer_one_is_taken() -> None:
+    buffer = Buffer()
+    live = Live(frames=frames_with(buffer))
+    live.show(MAP, a_map(WALL, frame='odo'))
+    live.show(MAP, a_map(WALL[::-1]))
+    newest = live.fields[-1]
+    buffer.learn('odo', transform(1.0, 2.0, 0.3))
+    live.look_again()
+    assert live.fields == [newest]
+    assert not live.timers
+
+
+def test_frames_without_end_fill_neither_log_nor_memory() -> None:
+    live = Live(frames=frames_with(Buffer()))
+    for k in range(300):
+        live.show(MAP, a_map(WALL, frame=f'odo_{k}'))
+    assert 0 < len(live.log.lines) <= 100
+    assert len(live.maps._said) <= 100
