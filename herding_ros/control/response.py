@@ -57,15 +57,19 @@ class Response:
         return 1.0 / np.sqrt(1.0 / _PRIOR**2 + self._weight)
 
     def learn(self, crowd: Crowd, control: Control, state: HerdState, t: float) -> None:
-        """Compare the herd at t [s] with the last one; forget all if that was another flock."""
+        """Compare the herd at t [s] with the last one; forget all if that was another flock.
+
+        Nothing is learned of a time longer than the horizon: it may be hours.
+        """
         last, self._last = self._last, (t, state)
         if last is None or last[1].x.shape != state.x.shape:
             self._weight, self._sum = np.zeros(len(state.x)), np.zeros(len(state.x))
             return
-        steps = round((t - last[0]) / control.horizon.control_period)
-        if steps < 1 or last[1].d.shape != state.d.shape:
+        period, horizon = control.horizon.control_period, control.horizon.length
+        steps = round((t - last[0]) / period)
+        if not 1 <= steps <= horizon / period or last[1].d.shape != state.d.shape:
             return
-        moved, alone = self._moved(crowd, last[1], state, steps, control.horizon.control_period)
+        moved, alone = self._moved(crowd, last[1], state, steps, period)
         variance = variance_of_a_sheep(crowd, control, state, last[0], t)
         by_dogs, found = moved - alone, state.x - alone
         self._weight = self._weight + np.square(by_dogs).sum(axis=1) / variance

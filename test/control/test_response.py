@@ -70,6 +70,16 @@ def test_of_sheep_that_no_dog_has_come_near_nothing_is_learned() -> None:
     np.testing.assert_allclose(found.deviation, 1.0, atol=1e-6)
 
 
+def test_of_a_time_without_sight_of_them_nothing_is_learned() -> None:
+    """To follow an hour by the model takes half a minute."""
+    response, generator = Response(), np.random.default_rng(0)
+    for t in (0.0, CONTROL.horizon.length + 1.0, 3600.0):
+        x = 0.2 * generator.standard_normal((5, 2))
+        response.learn(ALONE, CONTROL, HerdState(x, 0.0 * x, x[:2] + 0.1), t)
+        np.testing.assert_array_equal(response.mean, 1.0)
+        np.testing.assert_array_equal(response.deviation, 1.0)
+
+
 def test_sheep_that_ignore_dogs_are_left_first_then_the_farthest() -> None:
     rng = np.random.default_rng(1)
     truth = np.ones(12)
