@@ -58,6 +58,9 @@ PROFILE: dict[str, Any] = {
 Messages = list[tuple[str, int, bytes]]
 """Topic, log time [ns] and data of each message."""
 
+READ: dict[tuple[tuple[str, bytes], ...], Messages] = {}
+"""What rosbags has found in a bag, by the names and bytes of its files."""
+
 
 def text_message(text: str) -> bytes:
     data = text.encode() + b'\0'
@@ -122,6 +125,18 @@ def read_by_mcap(folder: Path) -> Messages:
 
 
 def read_by_rosbags(folder: Path) -> Messages:
+    """All messages; those of the same bytes are read once, for rosbags reads YAML in Python."""
+    content = tuple(
+        (file.name, file.read_bytes())
+        for file in sorted(folder.iterdir())
+        if file.suffix != '.broken'
+    )
+    if content not in READ:
+        READ[content] = _read_by_rosbags(folder)
+    return READ[content]
+
+
+def _read_by_rosbags(folder: Path) -> Messages:
     with AnyReader([folder]) as reader:
         messages = [(c.topic, time, bytes(data)) for c, time, data in reader.messages()]
         assert reader.message_count == len(messages)
