@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+import gc
 import json
 import os
 from pathlib import Path
@@ -23,6 +24,8 @@ from rosbags.typesys import get_typestore, Stores
 # Numba anew.
 os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
 sys.dont_write_bytecode = False
+
+gc.disable()  # to look for garbage in what is being loaded takes a tenth of the time
 
 settings.register_profile(
     'repeatable', database=None, deadline=None, derandomize=True, max_examples=20
@@ -66,6 +69,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if starts_nodes(item):  # a busy machine may hold up a process; the output says RERUN
             item.add_marker(pytest.mark.flaky(reruns=1))
     items.sort(key=lambda item: (item.path.stem not in TIMED, not starts_nodes(item)))
+
+
+def pytest_collection_finish() -> None:
+    """Leave out of the search for garbage what has been loaded: it stays until the end."""
+    gc.enable()
+    gc.freeze()
 
 
 def starts_nodes(item: pytest.Item) -> bool:

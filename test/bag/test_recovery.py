@@ -845,39 +845,44 @@ def chunk(data: bytes, size: int, compression: bytes, length: int | None = None)
 
 HUGE = 2**40
 NAME = text(b'x')
-HOSTILE = {
-    'record': record(6, b'', HUGE),
-    'record beyond 64 bits': record(6, b'', 2**64 - 1),
-    'chunk of a huge size': chunk(b'', HUGE, b'zstd'),
-    'chunk of a large size': chunk(b'', MOST_BYTES + 1, b''),
-    'chunk data': chunk(b'', 10, b'', HUGE),
-    'chunk of an unknown kind': chunk(b'xy', 2, b'bz2'),
-    'zstd bomb': chunk(zstandard.compress(bytes(400 * 2**20)), 1000, b'zstd'),
-    'zstd bomb that says so': chunk(zstandard.compress(bytes(400 * 2**20)), HUGE, b'zstd'),
-    'lz4 bomb': chunk(lz4.frame.compress(bytes(400 * 2**20)), 1000, b'lz4'),
-    'no zstd': chunk(b'no such thing', 1000, b'zstd'),
-    'no lz4': chunk(b'no such thing', 1000, b'lz4'),
-    'text': record(3, struct.pack('<H', 1) + text(b'', 2**32 - 1)),
-    'map': record(4, struct.pack('<HH', 1, 1) + NAME + NAME + struct.pack('<I', 2**32 - 1)),
-    'metadata': record(12, NAME + struct.pack('<I', 2**32 - 1)),
-    'attachment': record(9, struct.pack('<QQ', 0, 0) + NAME + NAME + struct.pack('<Q', 2**63)),
-    'short message': record(5, b'x'),
-    'statistics': record(11, bytes(42) + struct.pack('<I', 2**32 - 1)),
-    'index of messages': record(7, struct.pack('<HI', 1, 2**32 - 1)),
-    'index of chunks': record(8, bytes(32) + struct.pack('<I', 2**32 - 1)),
-    'unknown kind': record(0x50, b'x' * 100),
-    'zeros': bytes(10_000),
-}
 
 
-def test_absurd_sizes_take_no_memory(tmp_path: Path) -> None:
+@pytest.fixture(scope='module')
+def hostile_records() -> dict[str, bytes]:
+    bomb = zstandard.compress(bytes(400 * 2**20))
+    return {
+        'record': record(6, b'', HUGE),
+        'record beyond 64 bits': record(6, b'', 2**64 - 1),
+        'chunk of a huge size': chunk(b'', HUGE, b'zstd'),
+        'chunk of a large size': chunk(b'', MOST_BYTES + 1, b''),
+        'chunk data': chunk(b'', 10, b'', HUGE),
+        'chunk of an unknown kind': chunk(b'xy', 2, b'bz2'),
+        'zstd bomb': chunk(bomb, 1000, b'zstd'),
+        'zstd bomb that says so': chunk(bomb, HUGE, b'zstd'),
+        'lz4 bomb': chunk(lz4.frame.compress(bytes(400 * 2**20)), 1000, b'lz4'),
+        'no zstd': chunk(b'no such thing', 1000, b'zstd'),
+        'no lz4': chunk(b'no such thing', 1000, b'lz4'),
+        'text': record(3, struct.pack('<H', 1) + text(b'', 2**32 - 1)),
+        'map': record(4, struct.pack('<HH', 1, 1) + NAME + NAME + struct.pack('<I', 2**32 - 1)),
+        'metadata': record(12, NAME + struct.pack('<I', 2**32 - 1)),
+        'attachment': record(9, struct.pack('<QQ', 0, 0) + NAME + NAME + struct.pack('<Q', 2**63)),
+        'short message': record(5, b'x'),
+        'statistics': record(11, bytes(42) + struct.pack('<I', 2**32 - 1)),
+        'index of messages': record(7, struct.pack('<HI', 1, 2**32 - 1)),
+        'index of chunks': record(8, bytes(32) + struct.pack('<I', 2**32 - 1)),
+        'unknown kind': record(0x50, b'x' * 100),
+        'zeros': bytes(10_000),
+    }
+
+
+def test_absurd_sizes_take_no_memory(tmp_path: Path, hostile_records: dict[str, bytes]) -> None:
     """In a process of its own, which has memory for little more than the programs."""
     messages = some_messages(40)
     write_bag(tmp_path / 'bag', messages).close()
     data = (tmp_path / 'bag' / 'bag_0.mcap').read_bytes()
     (place, _), *_ = chunk_ends(tmp_path / 'bag' / 'bag_0.mcap')
     folders: list[Path] = []
-    for name, hostile in HOSTILE.items():
+    for name, hostile in hostile_records.items():
         for each in (hostile, chunk(zstandard.compress(hostile), len(hostile), b'zstd')):
             folders.append(tmp_path / f'{name} {len(folders)}')
             folders[-1].mkdir()
@@ -898,12 +903,12 @@ def test_absurd_sizes_take_no_memory(tmp_path: Path) -> None:
         assert read_by_mcap(folder) in (messages, messages[:10]), folder
 
 
-def test_files_without_rhyme_or_reason(tmp_path: Path) -> None:
+def test_files_without_rhyme_or_reason(tmp_path: Path, hostile_records: dict[str, bytes]) -> None:
     generator = random.Random(0)
     for trial in range(50):
         folder = tmp_path / f'{trial}'
         folder.mkdir()
-        kinds = generator.choices([*HOSTILE.values(), generator.randbytes(50)], k=4)
+        kinds = generator.choices([*hostile_records.values(), generator.randbytes(50)], k=4)
         (folder / 'x_0.mcap').write_bytes(MCAP0_MAGIC + b''.join(kinds)[:100_000])
         recover(folder)
         assert read_by_mcap(folder) == []

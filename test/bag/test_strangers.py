@@ -111,30 +111,33 @@ def described(value: bytes) -> bytes:
 MB = 1_000_000
 LARGEST = 15 * 2**20
 SCHEMA = record(3, struct.pack('<H', 1) + text(b'a/msg/A') + text(b'ros2msg') + text(b'string s'))
-BOMBS = {
-    'aliases in the metadata': described(aliases(9)) + described(aliases(200)),
-    'aliases in QoS': topic(1, aliases(9)) + topic(2, aliases(200)),
-    'short records': record(0x80, b'') * (MB // 9),
-    'heads of chunks': b''.join(struct.pack('<BQ', 6, MB - k) for k in range(0, MB, 9)),
-    'packed zeros': packed(bytes(LARGEST)) * 100,
-    'packed short records': packed(record(0x80, b'') * (LARGEST // 9)) * 100,
-    'packed short messages': topic(1, b'') + packed(message() * (LARGEST // 31)) * 100,
-    'packed large messages': topic(1, b'') + packed(message(LARGEST)) * 100,
-    'packed topics': packed(b''.join(topic(k, b'[]') for k in range(65_536))),
-    'topics': b''.join(topic(k, b'[]') for k in range(8000)),
-    'values in QoS': b''.join(topic(k, b'[' + b'[],' * 20_000 + b']') for k in range(5)),
-    'keys': record(12, text(b'x') + mapping((b'%d' % k, b'') for k in range(40_000))),
-    'large messages': topic(1, b'') + message(LARGEST) * 2,
-    'large chunks': topic(1, b'') + packed(message(LARGEST)[:31] + os.urandom(LARGEST)) * 2,
-    'large text': described(b'x' * 3_000_000),
-    'list': described(b'- b\n' * (MB // 4)),
-}
+
+
+def bombs() -> dict[str, bytes]:
+    return {
+        'aliases in the metadata': described(aliases(9)) + described(aliases(200)),
+        'aliases in QoS': topic(1, aliases(9)) + topic(2, aliases(200)),
+        'short records': record(0x80, b'') * (MB // 9),
+        'heads of chunks': b''.join(struct.pack('<BQ', 6, MB - k) for k in range(0, MB, 9)),
+        'packed zeros': packed(bytes(LARGEST)) * 100,
+        'packed short records': packed(record(0x80, b'') * (LARGEST // 9)) * 100,
+        'packed short messages': topic(1, b'') + packed(message() * (LARGEST // 31)) * 100,
+        'packed large messages': topic(1, b'') + packed(message(LARGEST)) * 100,
+        'packed topics': packed(b''.join(topic(k, b'[]') for k in range(65_536))),
+        'topics': b''.join(topic(k, b'[]') for k in range(8000)),
+        'values in QoS': b''.join(topic(k, b'[' + b'[],' * 20_000 + b']') for k in range(5)),
+        'keys': record(12, text(b'x') + mapping((b'%d' % k, b'') for k in range(40_000))),
+        'large messages': topic(1, b'') + message(LARGEST) * 2,
+        'large chunks': topic(1, b'') + packed(message(LARGEST)[:31] + os.urandom(LARGEST)) * 2,
+        'large text': described(b'x' * 3_000_000),
+        'list': described(b'- b\n' * (MB // 4)),
+    }
 
 
 def test_no_bag_costs_much_time_or_memory(bag: Path, tmp_path: Path) -> None:
     whole = (bag / 'bag_0.mcap').read_bytes()
     begin = 8 + 9 + int.from_bytes(whole[9:17], 'little')  # behind the magic and the header
-    for name, bomb in BOMBS.items():
+    for name, bomb in bombs().items():
         folder = shutil.copytree(bag, tmp_path / name)
         (folder / 'bag_0.mcap').write_bytes(whole[:begin] + SCHEMA + bomb + whole[begin:])
     metadata = (bag / 'metadata.yaml').read_bytes()
