@@ -93,9 +93,10 @@ def test_flock_planned_for_as_its_mean_field_limit_comes_home_as_soon() -> None:
 def test_flock_does_not_come_home_by_itself(
     world: World, goal: tuple[float, float], limit: float
 ) -> None:
-    """Dogs that cannot move still push: the flock drifts, but not onto the goal."""
-    control = Control(max_speed=1e-6, mapping=Mapping(max_iterations=0))
-    run = closed_loop(Crowd(), world, control, np.array(goal), limit)
+    """Dogs that stand still push: the flock drifts, but not onto the goal."""
+    still = np.zeros((world.dogs, 2))
+    field = Simulation(Crowd(), world, np.array(goal))
+    run = play(field, lambda observed, t: still, limit)
     assert not run.arrived
     assert run.t[-1] == pytest.approx(limit, abs=1e-9)
     assert np.linalg.norm(run.x.mean(axis=1) - goal, axis=1).min() > 0.05
