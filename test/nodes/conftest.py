@@ -217,6 +217,7 @@ class Peer:
         self.node = rclpy.create_node('peer', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._clients: dict[tuple[Any, str], Any] = {}
 
     def listen(self, kind: Any, topic: str, qos: Any = 1000) -> list[Any]:
         """Return the list that the messages of a topic are going to be in."""
@@ -251,7 +252,9 @@ class Peer:
 
         A server may be ready for requests before its answers reach the client.
         """
-        client = self.node.create_client(kind, service)
+        if (kind, service) not in self._clients:  # all nodes hear of each new one
+            self._clients[kind, service] = self.node.create_client(kind, service)
+        client = self._clients[kind, service]
         self.spin_until(client.service_is_ready)
         for _ in range(3):
             future = client.call_async(request)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 import dataclasses
 from functools import cache
 import math
@@ -15,13 +15,13 @@ from herding_ros.control.parameters import Bodies, Control, Weights
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.motion import Unicycle
 from herding_ros.model.noise_field import NoiseField
-from herding_ros.model.parameters import describe_limits, Parameters
+from herding_ros.model.parameters import describe_limits, Entry, Parameters
 from herding_ros.model.potentials import Harmonic
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.nodes import messages
 from herding_ros.nodes.herding_node import HerdingNode
 from herding_ros.nodes.middleware import start_ros
-from herding_ros.nodes.parameters import declare, declare_crowd, declare_scaled
+from herding_ros.nodes.parameters import _declare_entry, declare_crowd, declare_scaled
 from herding_ros.nodes.settings import (
     ControllerSettings,
     ControlPreset,
@@ -221,32 +221,35 @@ def written(value: Any) -> str:
 
 @every_node
 def test_wrong_values_are_refused_at_the_start(domain: int, name: str) -> None:
-    """All of them, in this process: what a node does with the reason is tested with the node."""
-    for parameter, field in FIELDS[name].items():
-        for value in wrong_values(field):
-            if isinstance(value, list) and len({type(each) for each in value}) > 1:
-                continue
-            given = ['--ros-args', '-p', f'{parameter}:={written(value)}']
-            start_ros(given, domain_id=domain)
-            node = HerdingNode(name)
-            try:
+    """All of them, in this process: what a node does with the reason is tested with the node.
+
+    A node is given a wrong value for each parameter, and refuses them one by one.
+    """
+    wrong = {parameter: list(writable(field)) for parameter, field in FIELDS[name].items()}
+    start_ros([], domain_id=domain)
+    try:
+        for k in range(max(map(len, wrong.values()))):
+            given = {parameter: values[k] for parameter, values in wrong.items() if values[k:]}
+            words = [
+                word
+                for parameter, value in given.items()
+                for word in ('-p', f'{parameter}:={written(value)}')
+            ]
+            node = HerdingNode(name, cli_args=['--ros-args', *words])
+            for parameter, value in given.items():
+                field = FIELDS[name][parameter]
                 with pytest.raises(ValueError, match=refusal_of(parameter, value)):
-                    declare_all(node)
-            finally:
-                node.destroy_node()
-                rclpy.shutdown()
+                    _declare_entry(node, Entry(parameter, field.default, field))
+            node.destroy_node()
+    finally:
+        rclpy.shutdown()
 
 
-def declare_all(node: HerdingNode) -> None:
-    kinds: dict[str, list[Parameters]] = {
-        'sim': [World(), SimSettings()],
-        'controller': [ControllerSettings(), ControlPreset(), Control()],
-        'recorder': [RecorderSettings()],
-    }
-    if node.get_name() != 'recorder':
-        declare_crowd(node)
-    for kind in kinds[node.get_name()]:
-        declare(node, kind)
+def writable(field: Field) -> Iterator[Any]:
+    """Yield what a field refuses and a command can say: lists of numbers of one type."""
+    for value in wrong_values(field):
+        if not isinstance(value, list) or len({type(each) for each in value}) == 1:
+            yield value
 
 
 def test_a_preset_brings_the_parameters_of_its_own_potentials(domain: int) -> None:
