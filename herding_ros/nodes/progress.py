@@ -69,7 +69,7 @@ class Watcher(Node):
 
 
 class ProgressLine:
-    """One live line on a terminal; a line every few seconds in files and pipes."""
+    """One live line on a terminal; in files and pipes one at first and every few seconds."""
 
     def __init__(self, watcher: Watcher, console: Console) -> None:
         """Show what `watcher` has received."""
@@ -94,6 +94,7 @@ class ProgressLine:
             self._begun = now
         elif not self._first_time:
             self._first_time = max(self._watcher.time, 1e-9)
+            at_once = True
         if not at_once and now - self._shown <= (_LIVE_PERIOD if self._live else _LINE_PERIOD):
             return
         self._shown = now

@@ -355,10 +355,11 @@ def test_every_signal_that_asks_to_end_is_noted() -> None:
 
 
 def test_dead_child_is_named_with_its_last_words(
-    start: Callable[..., Any], tmp_path: Path
+    start: Callable[..., Any], wait_until: Callable[..., None], tmp_path: Path
 ) -> None:
     process = start('herd', *OPTIONS, '--real-time', '2', '--out', str(tmp_path / 'out'))
     process.wait_for('to go')
+    wait_until(lambda: 'ready to herd' in (tmp_path / 'out/log/controller.log').read_text())
     children = psutil.Process(process.process.pid).children()
     controller = next(c for c in children if 'herding_ros.nodes.controller' in c.cmdline())
     controller.kill()

@@ -37,3 +37,16 @@ def test_in_a_file_it_has_all(capsys: pytest.CaptureFixture[str]) -> None:
         line.update(time.monotonic() + 100.0, at_once=True)
     assert out.getvalue().count('\n') == 1
     assert 'solve 1234 ms' in out.getvalue()
+
+
+def test_in_a_file_it_begins_as_soon_as_there_is_something_to_show() -> None:
+    out = io.StringIO()
+    watcher = SimpleNamespace(sim={}, plan={}, time=0.1)
+    line = ProgressLine(watcher, Console(file=out))
+    with line.shown():
+        line.update(time.monotonic())
+        assert out.getvalue() == ''
+        watcher.sim = SIM
+        for _ in range(2):
+            line.update(time.monotonic())
+    assert out.getvalue().count('to go 1234.567 m') == 1
