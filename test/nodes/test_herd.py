@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from herding_ros.control.closed_loop import as_policy, closed_loop, play
 from herding_ros.control.excitation import ExcitingPilot
-from herding_ros.control.parameters import Control
+from herding_ros.control.parameters import Control, Horizon
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.fit import recording
 from herding_ros.fit.estimate import fit
@@ -186,11 +186,13 @@ def test_large_flock_is_herded_as_in_the_loop_without_ros(
     start: Callable[..., Any], tmp_path: Path
 ) -> None:
     """Its clouds, its forces by a mesh, its mean-field limit, the density in the picture."""
+    control = Control(horizon=Horizon(length=4.0, accepted=2.0))  # long windows take long
     expected = closed_loop(
-        Crowd(), World(sheep=LARGE, dogs=DOGS, seed=SEED), Control(), np.array(GOAL), 1.0
+        Crowd(), World(sheep=LARGE, dogs=DOGS, seed=SEED), control, np.array(GOAL), 1.0
     )
-    assert max(fast_forces.CROSSOVER, 2 * Control().coarse.markers) < LARGE
+    assert max(fast_forces.CROSSOVER, 2 * control.coarse.markers) < LARGE
     options = [*OPTIONS, '--sheep', str(LARGE)]  # the last one counts
+    options += ['-p', 'horizon.length:=4.0', '-p', 'horizon.accepted:=2.0']
     out = tmp_path / 'out'
     process = start('herd', *options, '--time-limit', '1', '--out', str(out))
     assert process.wait() == 1, process.log  # time ran out
