@@ -13,6 +13,7 @@ from . import kernels
 from .crowd import Crowd, CROWDS
 from .dynamics import physics, reverse_sweep, rollout, to_lanes
 from .errand_kernels import detours, middle
+from .field import Field
 from .linear_algebra import advance, hessian_times, smoothed, times, transposed_times
 from .motion import Holonomic, MotionModel, MOTIONS
 from .particle_mesh import ParticleMesh
@@ -86,13 +87,16 @@ def warm_up_others() -> float:
 def main() -> None:
     """Compile all kernels, on two processors if there are as many."""
     started = time.perf_counter()
-    # With a table for the sheep, as in the mean-field limit of a large flock, or for the dogs.
-    tables = (Crowd(sheep=Mollified(Morse())), CROWDS['independent'])
+    # With a table for the sheep, as in the mean-field limit of a large flock, or for the dogs; and
+    # among walls.
+    fence = Field(fences=(((9.0, 9.0), (9.0, 8.0)),))
+    crowds = (Crowd(sheep=Mollified(Morse())), CROWDS['independent'], fence.around(Crowd()))
     with ProcessPoolExecutor(2) as pool:
         for done in [pool.submit(warm_up), pool.submit(warm_up_others)]:
             done.result()
-        list(pool.map(warm_up, tables))
+        first = pool.map(warm_up, crowds)
         list(pool.map(warm_up, [Crowd()] * len(MOTIONS), MOTIONS.values()))
+        list(first)
     print(f'kernels ready after {time.perf_counter() - started:.1f} s')
 
 
