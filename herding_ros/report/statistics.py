@@ -9,7 +9,6 @@ import math
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,8 @@ class Fraction:
         k, n = sum(map(bool, outcomes)), len(outcomes)
         if not n:
             return cls(0, 0, 0.0, 1.0)
+        from scipy import stats  # it takes a second to load, and who computes needs none
+
         interval = stats.binomtest(k, n).proportion_ci(0.95, method='exact')
         return cls(k, n, float(interval.low), float(interval.high))
 
@@ -91,6 +92,8 @@ class Median:
         """Return the median of independent values; NaN without any."""
         if not len(values):
             return cls(math.nan, math.nan, math.nan)
+        from scipy import stats
+
         ordered = np.sort(np.asarray(values, dtype=float))
         n = len(ordered)
         # The number of values below the true median is binomial, whatever their distribution.
