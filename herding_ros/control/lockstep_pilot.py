@@ -75,6 +75,7 @@ class LockstepPilot(Pilot):
         else:
             return None
         self._prepare_planner()
+        self._planner.learn(estimate.state, t)
         window = make(estimate.state, t, lambda _: self._stopping.is_set())
         self._plan = ScheduledPlan(window, request, t, accepted_until)
         return self._announce(self._plan, 0.0)

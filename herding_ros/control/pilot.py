@@ -32,6 +32,7 @@ from .parameters import Control
 from .plan import SLACK
 from .schedule import ScheduledPlan
 from .solution import NoTimeFor, Status
+from .solve_report import SolveReport
 from .surprise import is_surprising
 from .window import Window
 
@@ -60,6 +61,9 @@ class Planner(Protocol):
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         """Plan with these from the next solve on."""
+
+    def learn(self, state: HerdState, t: float) -> None:
+        """Compare the herd that is seen at t [s] with what was expected; before each plan."""
 
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = ...) -> Window:
         """Plan the window that starts at t [s] in the given state."""
@@ -179,6 +183,7 @@ class Pilot:
         """Forget the past, as at the start or when time was set back."""
         self._time = -math.inf
         self._said.clear()
+        self._is_as_told = True  # how dogs are felt
         self._visible: tuple[int, ...] = ()
         self._seen: tuple[int, ...] = ()
         self._command: Array = np.zeros((self.dogs, 2))  # the last one
@@ -414,7 +419,24 @@ class Pilot:
                 'no influence: no sheep notices the dogs within the window; they go towards the '
                 'sheep, unless crowd.dog has no force or weights.beyond and weights.dogs are 0',
             )
+        self._tell_how_dogs_are_felt(plan.window.report)
         return Announcement(plan, self.plans_made - 1, margin)
+
+    def _tell_how_dogs_are_felt(self, report: SolveReport) -> None:
+        is_as_told = report.felt_strength == report.felt_range == 1.0
+        if is_as_told == self._is_as_told:
+            return
+        self._is_as_told = is_as_told
+        if is_as_told:
+            self._say('info', 'sheep feel dogs as crowd.dog says, after all')
+        else:
+            self._say(
+                'warning',
+                f'sheep feel dogs {report.felt_range:.2g} times as far and '
+                f'{report.felt_strength:.2g} times as strongly as crowd.dog says, by how they '
+                'move; plans go by that, and by what further looks tell',
+                cause='how dogs are felt',
+            )
 
     def _record_failure(self, error: Exception) -> None:
         self._error = error

@@ -209,6 +209,7 @@ class RealTimePilot(Pilot):
 
         def plan(no_time_for: NoTimeFor) -> ScheduledPlan:
             state: HerdState = estimate.state
+            self._planner.learn(state, estimate.t)
             if periods > 0:
                 commanded = u[:, list(estimate.dogs)]
                 state = rollout(

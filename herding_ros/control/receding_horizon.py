@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from .coarse_model import CoarseModel, RememberingModel
 from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
+from .dog_force import DogForce, Felt
 from .drift import Drift
 from .hessian import Hessian
 from .ncg import ncg
@@ -105,9 +106,12 @@ class RecedingHorizon:
     seed: int = 0
     costs: Sequence[Cost] = ()
     _planned: list[_Planned] = field(default_factory=list, init=False)  # by their starts
-    _drift: Drift = field(default_factory=Drift, init=False)
-    _response: Response = field(default_factory=Response, init=False)
-    _hessian: Hessian = field(default_factory=Hessian, init=False)
+    felt: Felt = field(init=False)
+    """Dogs as plans take them to be felt, from what was learned."""
+    _dog_force: DogForce = field(init=False)
+    _drift: Drift = field(init=False)
+    _response: Response = field(init=False)
+    _hessian: Hessian = field(init=False)
     _turns: Iterator[str] = field(default_factory=lambda: itertools.cycle(RULES), init=False)
     _noise: Noise | None = field(default=None, init=False)
     _noise_sheep: int = field(default=0, init=False)
@@ -115,6 +119,7 @@ class RecedingHorizon:
     def __post_init__(self) -> None:
         """Check the goal."""
         self.goal = finite('goal', self.goal, (2,))
+        self._forget()
 
     @property
     def plan(self) -> Plan | None:
@@ -128,16 +133,47 @@ class RecedingHorizon:
     def restart(self) -> None:
         """Forget all plans: the next solve starts from standing dogs."""
         self._planned, self._turns = [], itertools.cycle(RULES)
-        self._drift, self._response, self._hessian = Drift(), Response(), Hessian()
+        self._forget()
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         """Plan with these from the next solve on."""
         self.crowd, self.control, self._noise = crowd, control, None
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget what was learned of the crowd."""
         self._drift, self._response, self._hessian = Drift(), Response(), Hessian()
+        self._dog_force, self.felt = DogForce(self.crowd, self.control), Felt()
+
+    @property
+    def _felt_crowd(self) -> Crowd:
+        """The crowd with dogs as they are felt."""
+        return self.felt.crowd(self.crowd)
+
+    def learn(self, state: HerdState, t: float) -> None:
+        """Compare the herd that is seen at t [s] with what was expected of it at the last look."""
+        control, horizon, last = self.control, self.control.horizon, self._playing(t)
+        few = len(state.x) <= 2 * control.coarse.markers
+        if control.arrival.strays and few:
+            self._response.learn(self.crowd, control, state, t)
+        if not horizon.has_feedback:
+            return
+        if few:
+            herded = self._response.herded(state.x, control.arrival.strays)
+            self._dog_force.learn(state, t, herded)
+            self.felt = self._dog_force.felt()
+        if last is None or len(last.sheep) != len(state.x):
+            return
+        periods = round((t - last.plan.t0) / horizon.control_period)
+        if 0 < periods < len(last.centre):
+            error = centre(state.x[last.sheep]) - last.centre[periods]
+            elapsed = periods * horizon.control_period
+            self._drift.learn(self.crowd, error, elapsed, horizon.accepted, control.max_speed)
 
     def coarse_model(self, state: HerdState) -> CoarseModel:
         """Return the model without noise: the flock itself, or the limit of a large one."""
-        crowd, horizon, markers = self.crowd, self.control.horizon, self.control.coarse.markers
+        crowd, horizon = self._felt_crowd, self.control.horizon
+        markers = self.control.coarse.markers
         # Of less than two sheep to each blob the limit is no simpler, and worse.
         if len(state.x) > 2 * markers:
             crowd, state = mean_field(crowd, state, markers)
@@ -151,7 +187,6 @@ class RecedingHorizon:
         """
         clock = Stopwatch()
         control, horizon = self.control, self.control.horizon
-        self._learn(state, t)
         which = self._response.herded(state.x, control.arrival.strays)
         state = state.of_sheep(which)
         coarse = RememberingModel.of(self.coarse_model(state))
@@ -205,7 +240,7 @@ class RecedingHorizon:
         planned = _Planned(plan, which, expected_centre[by_period], defect[by_period])
         self._planned = _in_order([*played, planned])
         report = SolveReport.of(
-            'window', solution, mapping, expected, extraction_calls, clock.seconds()
+            'window', solution, mapping, expected, extraction_calls, self.felt, clock.seconds()
         )
         return Window(
             plan, report, horizon.dt, expected_centre, spread(predicted.x), predicted.d, which
@@ -218,7 +253,6 @@ class RecedingHorizon:
         control's own time grid. no_time_for is called with 'coarse' or 'fine', see `solve`.
         """
         clock = Stopwatch()
-        self._learn(state, t)
         which = self._response.herded(state.x, self.control.arrival.strays)
         state = state.of_sheep(which)
         optimiser, horizon = self.control.optimiser, self.control.horizon
@@ -249,24 +283,13 @@ class RecedingHorizon:
         planned = _Planned(plan, which, expected_centre, defect)
         self._planned = _in_order([planned, *waiting])
         mapping = MappingResult(solution.u, output, Status.CONVERGED)
-        report = SolveReport.of('feedback', solution, mapping, expected, 0, clock.seconds())
+        report = SolveReport.of(
+            'feedback', solution, mapping, expected, 0, self.felt, clock.seconds()
+        )
         return Window(
             plan, report, horizon.control_period, expected_centre, spread(predicted.x),
             predicted.d, which,
         )  # fmt: skip
-
-    def _learn(self, state: HerdState, t: float) -> None:
-        """Compare the flock at t [s] with what was expected of it at the last look."""
-        control, horizon, last = self.control, self.control.horizon, self._playing(t)
-        if control.arrival.strays and len(state.x) <= 2 * control.coarse.markers:
-            self._response.learn(self.crowd, control, state, t)
-        if last is None or len(last.sheep) != len(state.x) or not horizon.has_feedback:
-            return
-        periods = round((t - last.plan.t0) / horizon.control_period)
-        if 0 < periods < len(last.centre):
-            error = centre(state.x[last.sheep]) - last.centre[periods]
-            elapsed = periods * horizon.control_period
-            self._drift.learn(self.crowd, error, elapsed, horizon.accepted, control.max_speed)
 
     def _playing(self, t: float) -> _Planned | None:
         """Return the plan that is played at t [s]: of those that have begun, the last."""
@@ -388,7 +411,7 @@ class RecedingHorizon:
         horizon, mapping = self.control.horizon, self.control.mapping
         steps = horizon.intervals * horizon.substeps
         motion = self.control.motion
-        fine = FineModel(self.crowd, state, horizon.dt, steps, horizon.substeps, t, motion)
+        fine = FineModel(self._felt_crowd, state, horizon.dt, steps, horizon.substeps, t, motion)
         estimator = ESTIMATORS[mapping.estimator]
         if self._noise is None or self._noise_sheep != fine.sheep:
             self._noise = Noise(fine, estimator, self.seed)

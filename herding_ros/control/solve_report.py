@@ -14,6 +14,7 @@ from .solution import Solution, Status
 if TYPE_CHECKING:
     from herding_ros.model.expectation import Expectation
 
+    from .dog_force import Felt
     from .space_mapping import MappingResult
 
 _P = ParamSpec('_P')
@@ -49,6 +50,10 @@ class SolveReport:
     """|X - x_c| in L2(0, T) [m s^0.5] under the coarse plan; 0 without mapping."""
     mapping_error_after: float
     """The same under the plan that was chosen."""
+    felt_strength: float
+    """How strongly the plan takes dogs to be felt, as a multiple of what the crowd says."""
+    felt_range: float
+    """How far, as a multiple."""
     seconds: dict[str, float]
     """Time per phase: coarse (solve), fine (Monte Carlo), extraction; and in total."""
 
@@ -60,6 +65,7 @@ class SolveReport:
         mapping: MappingResult,
         expected: Sequence[Expectation],
         extraction_calls: int,
+        felt: Felt,
         seconds: dict[str, float],
     ) -> SolveReport:
         """Return the report of a coarse solution, its correction, and the fine evaluations."""
@@ -79,6 +85,8 @@ class SolveReport:
             mapping_residuals=mapping.residuals,
             mapping_error_before=mapping.misfits[0] if mapping.misfits else 0.0,
             mapping_error_after=min(mapping.misfits, default=0.0),
+            felt_strength=felt.strength,
+            felt_range=felt.range,
             seconds=seconds,
         )
 

@@ -52,6 +52,8 @@ REPORT = SolveReport(
     (),
     0.0,
     0.0,
+    1.0,
+    1.0,
     {},
 )
 
@@ -67,6 +69,7 @@ class FakePlanner:
         self.restarts = 0
         self.solved: list[tuple[float, HerdState]] = []
         self.improved: list[tuple[float, HerdState]] = []
+        self.learned: list[tuple[float, HerdState]] = []
         self.error: Exception | None = None
         self.speed = 1e-3
         self.report = REPORT
@@ -79,6 +82,9 @@ class FakePlanner:
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
         self.crowd, self.control = crowd, control
+
+    def learn(self, state: HerdState, t: float) -> None:
+        self.learned.append((t, state))
 
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
         self.solved.append((t, state))
@@ -267,16 +273,28 @@ def test_a_plan_without_influence_is_said_once() -> None:
     assert pilot.plans_made == 3
 
 
+def test_dogs_that_are_felt_otherwise_than_told_are_told_of_once_and_when_it_is_over() -> None:
+    pilot, planner = lockstep()
+    events = []
+    for k in range(65):
+        if k in (0, 25, 45):
+            planner.report = replace(REPORT, felt_strength=0.5 if k == 25 else 1.0)
+        events += [(k, event) for event in pilot.decide(seen(0.1 * k)).events]
+    assert [(k, event.level) for k, event in events] == [(40, 'warning'), (60, 'info')]
+    assert '1 times as far and 0.5 times as strongly' in events[0][1].text
+    assert 'as crowd.dog says' in events[1][1].text
+
+
 def test_lockstep_reply_is_that_of_the_real_planner() -> None:
     control = Control(bodies=AS_PLANNED, horizon=Horizon(length=1.0, accepted=0.5, feedback=0.2))
     herd = seen(0.0, sheep=4).state
     pilot = LockstepPilot(RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7), 3)
     by_hand = RecedingHorizon(Crowd(), control, np.array(GOAL), seed=7)
     for k in range(8):
-        if k % 5 == 0:
-            plan = by_hand.solve(herd, 0.1 * k).plan
-        elif k % 5 in (2, 4):
-            plan = by_hand.improve(herd, 0.1 * k).plan
+        make = {0: by_hand.solve, 2: by_hand.improve, 4: by_hand.improve}.get(k % 5)
+        if make is not None:
+            by_hand.learn(herd, 0.1 * k)
+            plan = make(herd, 0.1 * k).plan
         reply = pilot.decide(Observed.complete(0.1 * k, herd))
         np.testing.assert_array_equal(reply.command, plan.at(0.1 * k))
 
@@ -501,6 +519,16 @@ def test_next_plan_begins_from_the_state_that_the_commands_lead_to() -> None:
     np.testing.assert_allclose(first.d, seen(0.0).state.d, rtol=0, atol=1e-15)
     moved = ahead[1][1].d - seen(0.0).state.d  # observed dogs never move in this field
     np.testing.assert_allclose(moved, np.tile(1e-3 * np.array(GOAL), (3, 1)) * LEAD, atol=1e-12)
+
+
+def test_it_is_learned_of_what_is_seen_not_of_what_is_predicted() -> None:
+    field = Field().herding()
+    field.run(ACCEPTED)
+    for (seen_at, state), (start, _) in zip(
+        field.planner.learned, field.planner.solved, strict=True
+    ):
+        assert seen_at == pytest.approx(start - LEAD)
+        np.testing.assert_array_equal(state.d, seen(0.0).state.d)
 
 
 def test_slow_solves_leave_the_second_half_and_then_the_dogs_stand_and_it_recovers() -> None:

@@ -28,6 +28,8 @@ REPORT = SolveReport(
     mapping_residuals=(0.123456, 0.0625),
     mapping_error_before=0.5,
     mapping_error_after=0.125,
+    felt_strength=0.5,
+    felt_range=2.0,
     seconds={'coarse': 0.5, 'fine': 0.25, 'extraction': 0.125, 'total': 1.0},
 )
 
