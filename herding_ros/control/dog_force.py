@@ -90,8 +90,8 @@ class DogForce:
     def learn(self, state: HerdState, t: float, herded: NDArray[np.bool_]) -> None:
         """Look at the herd at t [s]; compare it, every few seconds, with what was predicted.
 
-        herded: (N,), the sheep that count; others may ignore dogs. Nothing is learned when sheep or
-        dogs have come or gone, or of a time longer than what is played of a window.
+        herded: (N,), the sheep that count; others may ignore dogs. Nothing is learned when sheep
+        or dogs have come or gone, or of a time longer than what is played of a window.
         """
         if not self._goes_on(state, t):
             self._looks = []
