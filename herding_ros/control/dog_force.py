@@ -24,6 +24,7 @@ import math
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import follow
 from herding_ros.model.parameters import TINY
+from herding_ros.model.potentials import Potential
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,10 @@ class Felt:
 
 @dataclass
 class DogForce:
-    """What is known of the dogs of a crowd, from looks at it."""
+    """What is known of the dogs of a crowd, from looks at it.
+
+    Of a potential of the user's whose units are unknown, so that it cannot be rescaled, nothing is.
+    """
 
     crowd: Crowd
     control: Control
@@ -86,6 +90,7 @@ class DogForce:
         """Know nothing."""
         self._precision = np.full(len(_RANGES), _PRIOR**-2.0)
         self._score = self._precision.copy()
+        self._can_learn = _has_units(self.crowd.dog)
 
     def learn(self, state: HerdState, t: float, herded: NDArray[np.bool_]) -> None:
         """Look at the herd at t [s]; compare it, every few seconds, with what was predicted.
@@ -93,6 +98,8 @@ class DogForce:
         herded: (N,), the sheep that count; others may ignore dogs. Nothing is learned when sheep
         or dogs have come or gone, or of a time longer than what is played of a window.
         """
+        if not self._can_learn:
+            return
         if not self._goes_on(state, t):
             self._looks = []
         self._looks.append((t, state))
@@ -162,6 +169,14 @@ class DogForce:
         slope = crowd.dog.derivative(r / _RANGES[:, None, None, None])
         weight = -slope / r * np.add.reduceat(dt * left, starts)[:, None, None]
         return np.einsum('sknm,knmc->snc', weight, away), told[-1]
+
+
+def _has_units(potential: Potential) -> bool:
+    try:
+        potential.rescaled(1.0, 1.0)
+    except ValueError:
+        return False
+    return True
 
 
 def _interpolated(seen: Array, ways: Array, steps: int, dt: float) -> Array:
