@@ -77,7 +77,7 @@ class Felt:
 class DogForce:
     """What is known of the dogs of a crowd, from looks at it.
 
-    Of a potential of the user's whose units are unknown, so that it cannot be rescaled, nothing is.
+    Nothing is known with a potential of the user's that cannot be rescaled, as its units are not.
     """
 
     crowd: Crowd
