@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import math
 
 from herding_ros.model.crowd import Crowd
-from herding_ros.model.dynamics import follow
+from herding_ros.model.dynamics import follow, relative_friction
 from herding_ros.model.parameters import TINY
 from herding_ros.model.potentials import Potential
 from herding_ros.model.state import Array, HerdState
@@ -158,12 +158,14 @@ class DogForce:
         middle = (starts + np.append(starts[1:], steps) - 1) // 2
         away = told[middle][:, :, None] - ways[middle, :2].transpose(0, 2, 1)[:, None]
         r = np.maximum(np.linalg.norm(away, axis=-1), TINY)
-        # How far a unit of force in one step has moved a sheep at the end, see `dynamics`.
+        # How far a unit of force in one step has moved a sheep relative to the others at the end,
+        # see `dynamics`.
+        friction = relative_friction(crowd, before.x)
         left: Array = np.arange(steps - 1, -1, -1, dtype=np.float64)
         if crowd.order == 1:
-            left = np.full(steps, 1.0 / crowd.friction)
-        elif crowd.friction:
-            left = (1.0 - (1.0 - crowd.friction * dt) ** left) / crowd.friction
+            left = np.full(steps, 1.0 / friction)
+        elif friction:
+            left = (1.0 - (1.0 - min(friction * dt, 1.0)) ** left) / friction
         else:
             left = left * dt
         slope = crowd.dog.derivative(r / _RANGES[:, None, None, None])

@@ -10,6 +10,7 @@ import math
 from herding_ros.control.dog_force import DogForce, Felt
 from herding_ros.control.parameters import Control, Sensor
 from herding_ros.control.receding_horizon import RecedingHorizon
+from herding_ros.model.alignment import Alignment
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.noise import increments
@@ -93,6 +94,13 @@ def test_strength_and_range_are_found(strength: float, reach: float) -> None:
     of_force = np.log2([each.strength for each in found])
     assert abs(np.median(of_range) - math.log2(reach)) <= 0.5
     assert abs(np.median(of_force) - math.log2(strength)) <= 0.5
+
+
+def test_strength_is_found_of_sheep_that_align_and_of_such_without_inertia() -> None:
+    aligned = replace(TOLD, alignment=Alignment(1.0, 1.0))
+    for told in (aligned, replace(TOLD, order=1)):
+        found = [learned(felt(2.0, 1.0, told), seed, told)[0].strength for seed in range(5)]
+        assert abs(math.log2(float(np.median(found))) - 1.0) <= 0.5
 
 
 @pytest.mark.parametrize('noise', [0.0, 0.01, 0.03])
