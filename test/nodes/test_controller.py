@@ -105,6 +105,7 @@ def test_lockstep_replies_with_the_plan_of_the_core_in_each_dogs_own_frame(
     plan = planner.solve(herd, 0.0).plan
     for k in range(20):
         if k == 10:
+            planner.learn(herd, 1.0)
             plan = planner.improve(herd, 1.0).plan
         pasture.heading = 0.0 if k < 10 else math.pi / 2
         pasture.show(k * 100_000_000)
@@ -204,7 +205,9 @@ def test_moved_goal_and_dynamic_parameters_reach_the_planner(
         ),
     )
     planner.move_goal(np.array([-1.0, 0.0]))
-    plans += [planner.solve(herd, t).plan for t in (0.1, 1.6)]
+    for t in (0.1, 1.6):
+        planner.learn(herd, t)
+        plans.append(planner.solve(herd, t).plan)
     for m, heard in enumerate(pasture.commands):
         for message, plan in zip(heard, plans, strict=True):
             assert np.array_equal(velocity(message), plan.u[0, m])

@@ -281,10 +281,12 @@ def test_the_controller_plans_around_the_walls_of_a_map(
     assert np.abs(expected.u - free.solve(herd, 0.0).plan.u).max() > 0.01
     maps.publish(a_map(WALL, frame='odom'))
     process.wait_for("map must be in frame 'map', got 'odom'")
+    planner.learn(herd, 2.0)
     assert np.array_equal(reply(2_000_000_000), planner.solve(herd, 2.0).plan.at(2.0))
     maps.publish(a_map(np.zeros((2, 2))))
     process.wait_for('walls from map: 0 pieces')
     planner.adjust(NO_FIELD.around(Crowd()), CONTROL)
+    planner.learn(herd, 4.0)
     assert np.array_equal(reply(4_000_000_000), planner.solve(herd, 4.0).plan.at(4.0))
 
 
