@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-T = TypeVar('T')
+_T = TypeVar('_T')
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def in_play(routes: Sequence[Route], time: float) -> Route | None:
     return max(reversed(begun), key=lambda route: route.times[0], default=None)
 
 
-def _begun(dated: Sequence[tuple[float, T]], time: float) -> list[T]:
+def _begun(dated: Sequence[tuple[float, _T]], time: float) -> list[_T]:
     """Return what has begun by a time [s], of things with the times at which they begin."""
     return [each for since, each in dated if since <= time]
 

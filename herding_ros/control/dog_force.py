@@ -82,8 +82,9 @@ class DogForce:
 
     crowd: Crowd
     control: Control
-    _precision: Array = field(init=False)  # of g (ranges,), and times its mean
-    _score: Array = field(init=False)
+    _precision: Array = field(init=False)  # of g, for each range
+    _score: Array = field(init=False)  # times the mean of g
+    _can_learn: bool = field(init=False)
     _looks: list[tuple[float, HerdState]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:

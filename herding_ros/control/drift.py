@@ -17,7 +17,7 @@ from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array
 import numpy as np
 
-MOST = 0.2
+_MOST = 0.2
 """Part of the way of a dog that an error may be to be taken for a drift."""
 
 
@@ -40,7 +40,7 @@ class Drift:
         [s]. An error of more than a fifth of the way that a dog runs meanwhile at max_speed [m/s]
         is no drift: it does not last, as a gust, or comes and goes with what the dogs do.
         """
-        if float(np.linalg.norm(error)) > MOST * max_speed * elapsed:
+        if float(np.linalg.norm(error)) > _MOST * max_speed * elapsed:
             return
         gain = -math.expm1(-elapsed / memory)
         unit = float(displacement(crowd, np.array([elapsed]))[0])

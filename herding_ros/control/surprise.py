@@ -56,27 +56,26 @@ def is_surprising(
     moved = sigma**2 * displacement_variance(crowd, elapsed)
     aligned = replace(crowd, friction=relative_friction(crowd, state.x))
     apart = sigma**2 * displacement_variance(aligned, elapsed)
-    of_two = seen(control, elapsed)
-    besides = untold(control, control.horizon.feedback)
+    seen = _seen(control, elapsed)
+    untold = _untold(control, control.horizon.feedback)
     common = crowd.common_noise
     k = window.index(t)
     off = float(np.linalg.norm(centre(state.x) - window.centre[k]))
-    own = (1.0 - common) * moved + of_two
-    if off > _DEVIATIONS * math.sqrt(common * moved + own / n + besides):
+    own = (1.0 - common) * moved + seen
+    if off > _DEVIATIONS * math.sqrt(common * moved + own / n + untold):
         return True
-    single = (1.0 - common) * apart + of_two
+    single = (1.0 - common) * apart + seen
     wider = math.sqrt(window.spread[k] ** 2 + 2.0 * single * (1.0 - 1.0 / n))
-    return abs(float(spread(state.x)) - wider) > _DEVIATIONS * math.sqrt(single / n + besides)
+    return abs(float(spread(state.x)) - wider) > _DEVIATIONS * math.sqrt(single / n + untold)
 
 
-def seen(control: Control, elapsed: float) -> float:
+def _seen(control: Control, elapsed: float) -> float:
     """Return the variance of what two observations are off by [m^2]."""
     sensor = control.sensor
     return 2.0 * sensor.position_noise**2 + (sensor.velocity_noise * elapsed) ** 2
 
 
-def untold(control: Control, elapsed: float) -> float:
-    """Return the variance of what observations and predictions are off by besides [m^2]."""
+def _untold(control: Control, elapsed: float) -> float:
     return (_UNTOLD * control.max_speed * elapsed) ** 2
 
 
@@ -90,7 +89,7 @@ def variance_of_a_sheep(
     """
     elapsed = t - before
     moved = np.square(strength(crowd, t, state.x)).mean() * displacement_variance(crowd, elapsed)
-    return float(moved) + seen(control, elapsed) + untold(control, elapsed)
+    return float(moved) + _seen(control, elapsed) + _untold(control, elapsed)
 
 
 def displacement_variance(crowd: Crowd, elapsed: float) -> float:
