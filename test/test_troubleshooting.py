@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 import re
@@ -94,6 +95,14 @@ def test_every_warning_is_explained() -> None:
 def test_every_kind_of_refusal_is_explained() -> None:
     missing = set(kinds()) - set(entries())
     assert not missing, f'doc/troubleshooting.md lacks {missing}'
+
+
+def test_no_message_is_explained_twice() -> None:
+    texts, by_texts = said(), defaultdict(list)
+    for entry in entries():
+        by_texts[frozenset(filter(explain(entry).match, texts))].append(entry)
+    doubles = [same for same in by_texts.values() if len(same) > 1]
+    assert not doubles, f'doc/troubleshooting.md has twice {doubles}'
 
 
 def test_every_explained_message_can_be_said() -> None:
