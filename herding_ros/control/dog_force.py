@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .parameters import Control
+from .plan import SLACK
 from .surprise import variance_of_a_sheep
 
 _RANGES = 2.0 ** (0.5 * np.arange(-4, 5))
@@ -104,7 +105,7 @@ class DogForce:
         if not self._goes_on(state, t):
             self._looks = []
         self._looks.append((t, state))
-        if t - self._looks[0][0] >= _PART * self.control.horizon.accepted:
+        if t - self._looks[0][0] >= _PART * self.control.horizon.accepted - SLACK:
             self._compare(herded)
             self._looks = self._looks[-1:]
 
@@ -125,7 +126,7 @@ class DogForce:
             return False
         last, before = self._looks[-1]
         same = before.x.shape == state.x.shape and before.d.shape == state.d.shape
-        return same and last < t <= last + self.control.horizon.accepted
+        return same and last < t <= last + self.control.horizon.accepted + SLACK
 
     def _compare(self, herded: NDArray[np.bool_]) -> None:
         (start, before), (end, after) = self._looks[0], self._looks[-1]

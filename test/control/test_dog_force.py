@@ -53,18 +53,19 @@ def learned(
     wind: Sequence[float] = (0.0, 0.0),
     errors: float = 0.0,
     sheep: int = 20,
+    start: float = 0.0,
 ) -> tuple[Felt, list[Felt]]:
     """Return what is learned at last, and at each look, of a flock with dogs that roam beside it.
 
     wind: acceleration of all sheep [m/s^2]; errors: of positions that are seen [m]. Nobody is
-    told of either.
+    told of either. start: time of the first look [s].
     """
     rng, force = np.random.default_rng(seed), DogForce(told, CONTROL)
     x = 0.15 * rng.standard_normal((sheep, 2))
     state, looks = HerdState(x, np.zeros_like(x), rng.uniform(-1.0, 1.0, (3, 2))), []
     for second in range(seconds):
         seen = state.x + errors * rng.standard_normal(state.x.shape)
-        force.learn(replace(state, x=seen), float(second), np.ones(sheep, dtype=np.bool_))
+        force.learn(replace(state, x=seen), start + second, np.ones(sheep, dtype=np.bool_))
         looks.append(force.felt())
         # They run about at a distance in which sheep feel them.
         aim = state.x.mean(axis=0) + rng.uniform(-0.7, 0.7, (3, 2)) - state.d
@@ -94,6 +95,12 @@ def test_strength_and_range_are_found(strength: float, reach: float) -> None:
     of_force = np.log2([each.strength for each in found])
     assert abs(np.median(of_range) - math.log2(reach)) <= 0.5
     assert abs(np.median(of_force) - math.log2(strength)) <= 0.5
+
+
+def test_a_time_that_is_rounded_delays_no_comparison() -> None:
+    assert 4.1 - 1.1 < 3.0
+    true = felt(2.0, 2.0)
+    assert learned(true, 0, seconds=30, start=1.1)[1] == learned(true, 0, seconds=30)[1]
 
 
 def test_strength_is_found_of_sheep_that_align_and_of_such_without_inertia() -> None:
