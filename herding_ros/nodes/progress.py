@@ -16,6 +16,18 @@ from rich.text import Text
 _LIVE_PERIOD, _LINE_PERIOD = 0.2, 5.0
 """Time between two lines on a terminal, where they replace each other, and elsewhere [s]."""
 
+_OF_SIM = ('time_s', 'distance_m', 'spread_m')
+
+
+def _has_numbers(values: dict[str, str], *names: str) -> bool:
+    """Whether these are numbers: other programs may use the names of our statuses."""
+    try:
+        for name in names:
+            float(values[name])
+    except (KeyError, ValueError):
+        return False
+    return True
+
 
 class Watcher(Node):
     """Follows /diagnostics."""
@@ -33,9 +45,9 @@ class Watcher(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
-            if status.name == 'sim: herd':
+            if status.name == 'sim: herd' and _has_numbers(values, *_OF_SIM):
                 self.sim = values
-            elif status.name == 'controller: plan':
+            elif status.name == 'controller: plan' and _has_numbers(values, 'solve_ms'):
                 self.plan = values
             elif status.name == 'recorder: bag':
                 self.recorder = values

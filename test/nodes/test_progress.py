@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import io
 import time
 from types import SimpleNamespace
 
-from herding_ros.nodes.progress import ProgressLine
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from herding_ros.nodes.middleware import start_ros
+from herding_ros.nodes.progress import ProgressLine, Watcher
 import pytest
+import rclpy
 from rich.console import Console
 
 SIM = {'distance_m': '1234.567', 'spread_m': '0.231'}
@@ -50,3 +54,33 @@ def test_in_a_file_it_begins_as_soon_as_there_is_something_to_show() -> None:
         for _ in range(2):
             line.update(time.monotonic())
     assert out.getvalue().count('to go 1234.567 m') == 1
+
+
+def status(name: str, **values: str) -> DiagnosticStatus:
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return DiagnosticStatus(name=name, values=pairs)
+
+
+@pytest.fixture
+def watcher(domain: int) -> Iterator[Watcher]:
+    start_ros(domain_id=domain)
+    one = Watcher()
+    yield one
+    one.destroy_node()
+    rclpy.shutdown()
+
+
+def test_statuses_of_other_programs_are_not_shown(watcher: Watcher) -> None:
+    out = io.StringIO()
+    line = ProgressLine(watcher, Console(file=out))
+    ours = {'time_s': '0.5', 'distance_m': '1.0', 'spread_m': '0.2'}
+    for statuses in (
+        [status('sim: herd'), status('controller: plan')],
+        [status('sim: herd', **{**ours, 'time_s': 'soon'})],
+        [status('sim: herd', **ours), status('controller: plan', solve_ms='long')],
+        [status('sim: herd')],
+    ):
+        watcher._on_diagnostics(DiagnosticArray(status=statuses))
+        line.update(time.monotonic(), at_once=True)
+    assert out.getvalue().count('starting the nodes') == 2
+    assert out.getvalue().count('to go 1.000 m') == 2
