@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 import time
 from typing import Any
 
@@ -36,6 +36,11 @@ class ParameterQueries:
         self._next_look = 0.0
         self._lives: dict[str, set[bytes]] = {}
         self._queries: dict[str, ParameterQuery] = {}
+
+    @property
+    def names(self) -> Collection[str]:
+        """Full names of the nodes that are there and wanted."""
+        return self._lives.keys()
 
     def answers(self) -> dict[str, dict[str, Any]]:
         """Ask, and return the values of nodes that have answered since the last call."""

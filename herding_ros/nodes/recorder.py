@@ -60,6 +60,12 @@ With `TAKE_PERIOD` before it and a round in which it falls due, a kill costs les
 CLOCK_PATIENCE = 5.0
 """Time after which a clock that has not come is missed [s]."""
 
+_MOST_GONE = 100
+"""Nodes whose parameters are kept although they are gone.
+
+Metadata that grow with each node that passes by would become more than `report` reads.
+"""
+
 SHARED = ('/diagnostics', '/rosout', '/parameter_events')
 """Topics that nodes of all namespaces share, besides the clock; each message names its node."""
 
@@ -186,6 +192,9 @@ class Recorder(HerdingNode):
         self._topics.discover()
         if answers := self._queries.answers():
             self._parameters_of.update(answers)
+            gone = [name for name in self._parameters_of if name not in self._queries.names]
+            for name in gone[_MOST_GONE:]:  # the nodes of a run mostly come first
+                del self._parameters_of[name]
             self._keep_custom_data()
 
     def _is_wanted(self, topic: str) -> bool:

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -495,6 +496,28 @@ def test_nodes_that_come_and_go_leave_no_clients(
     with other_node(domain, 'passer_by'):
         wait_until(lambda: clients() == before + 3)
     wait_until(lambda: clients() == before)
+    recorder.bag.close()
+    recorder.destroy_node()
+    rclpy.shutdown()
+
+
+def test_nodes_that_come_and_go_leave_few_parameters(
+    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Metadata that grow without end can be read no more."""
+    monkeypatch.chdir(tmp_path)
+    start_ros(domain_id=domain)
+    recorder = Recorder()
+    recorder.create_bag()
+    for k in range(500):
+        there = {'/sim', f'/passer_by_{k}'}
+        answers = {name: {'use_sim_time': False} for name in there}
+        queries = SimpleNamespace(names=there, answers=answers.copy)
+        monkeypatch.setattr(recorder, '_queries', queries)
+        recorder._search_graph()
+    kept = set(recorder._parameters_of)
+    assert {'/sim', '/passer_by_0', '/passer_by_499'} < kept
+    assert len(kept) < 200
     recorder.bag.close()
     recorder.destroy_node()
     rclpy.shutdown()
