@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 import math
 import re
+import time
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -46,6 +47,9 @@ _MOST_SHEEP = 1_000_000
 _PLANS = 20
 """Plans that are kept; more are never announced ahead."""
 
+_PATIENCE = 5.0
+"""Wall time in which a dog may be silent [s]."""
+
 
 class HerdSeen:
     """Sheep and dogs, the true ones where somebody publishes them, else the observed."""
@@ -76,6 +80,8 @@ class HerdSeen:
     def _forget(self) -> None:
         self._x: Array | None = None
         self._places: dict[int, tuple[Array, float]] = {}
+        self._heard: dict[int, float] = {}  # when a dog last was [s]
+        self._sheep_came = -math.inf
         self._first_spread = math.nan
         self._plans: deque[Route] = deque(maxlen=_PLANS)
         self._expected: deque[Route] = deque(maxlen=_PLANS)
@@ -119,6 +125,7 @@ class HerdSeen:
                 elif m in self._places:
                     heading = self._places[m][1]
                 self._places[m] = place, heading
+                self._heard[m] = time.monotonic()
         if sheep is not None:
             self._add_sheep(sheep)
         goal = self._newest(self._goal, lambda data: messages.goal_in(data, self._frame))
@@ -169,6 +176,7 @@ class HerdSeen:
         if sheep.ns < self.ns:  # a reset, or another herd
             self._forget()
         self.ns, self._x = sheep.ns, sheep.x
+        self._forget_dogs()
         flock = without_strays(sheep.x, self.arrival.strays)
         if math.isnan(self._first_spread):
             self._first_spread = float(spread(flock))
@@ -178,6 +186,15 @@ class HerdSeen:
             self.distance.add(self.time, float(distance(flock, self.goal)))
             radius = self.arrival.radius + self.arrival.spread * self._first_spread
             self.home.add(self.time, float(share_within(sheep.x, self.goal, radius)))
+
+    def _forget_dogs(self) -> None:
+        """Forget those that are silent while sheep come, as of a former run with more of them."""
+        now = time.monotonic()
+        if now > self._sheep_came + _PATIENCE:  # all stood still
+            self._heard = dict.fromkeys(self._heard, now)
+        self._sheep_came = now
+        for m in [m for m, heard in self._heard.items() if heard < now - _PATIENCE]:
+            del self._heard[m], self._places[m]
 
     @property
     def time(self) -> float:

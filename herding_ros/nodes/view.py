@@ -33,9 +33,11 @@ from herding_ros.view.playback import PERIOD, Playback
 import numpy as np
 from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import SetParameters
+from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_parameter_events, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from . import command_line, messages
@@ -55,6 +57,9 @@ _PATIENCE = 3.0
 
 _SILENCE = 2.0
 """Wall time without sheep after which the page says so [s]."""
+
+_STATUS_LASTS = 5.0
+"""Wall time after which a status is of the past: nodes send one a second [s]."""
 
 _SOME = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Nobody waits for a page to have read a status."""
@@ -132,14 +137,14 @@ class View(PageNode):
                 set_value=self._later(self._want),
             ),
         )
-        self._statuses: dict[str, tuple[str, dict[str, str]]] = {
-            self._status_of(name): ('', {}) for name in (_SIM, _CONTROLLER)
-        }
+        nothing: tuple[str, dict[str, str], float] = ('', {}, -math.inf)
+        self._statuses = {self._status_of(name): nothing for name in (_SIM, _CONTROLLER)}
         self._named = {full_name(self.get_namespace(), node): node for node in _NODES}
         self._queries = ParameterQueries(self, self._named.__contains__)
         self._values: dict[str, dict[str, Any]] = {}
         self._wanted: dict[str, float] = {}
-        self._setting: dict[str, float] = {}
+        self._pending: dict[Future, tuple[Client, str, float]] = {}
+        """Requests without a reply: to whom, for what, and since when [s]."""
         self._goal_wanted: tuple[Array, float] | None = None
         self._last_sheep = time.monotonic()
         self._frames = self._browsers = 0
@@ -189,7 +194,7 @@ class View(PageNode):
         self._ask_for_parameters()
         self._panel.show_time_control(self._pauses.service_is_ready())
         self._check_goal()
-        self._check_values()
+        self._check_replies()
         self._panel.write(self._in_words())
         self.page.draw_curves()
         self._publish_status()
@@ -198,7 +203,7 @@ class View(PageNode):
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
             if status.name in self._statuses:
-                self._statuses[status.name] = status.message, values
+                self._statuses[status.name] = status.message, values, time.monotonic()
             elif status.name == self._status_of(_PLAN):
                 for curve, key in ((self._solve, 'solve_ms'), (self._margin, 'deadline_margin_s')):
                     curve.add(self._herd.time, _number_in(values.get(key, '')))
@@ -206,10 +211,15 @@ class View(PageNode):
     def _status_of(self, name: str) -> str:
         return f'{self.get_namespace()}/{name}'.lstrip('/')
 
+    def _newest_status(self, name: str) -> tuple[str, dict[str, str]]:
+        """Return message and values; nothing of a node that is silent, since it has gone."""
+        message, values, came = self._statuses[self._status_of(name)]
+        return (message, values) if time.monotonic() < came + _STATUS_LASTS else ('', {})
+
     def _in_words(self) -> str:
         herd = self._herd
         silent = time.monotonic() - self._last_sheep
-        doing, values = self._statuses[self._status_of(_SIM)]
+        doing, values = self._newest_status(_SIM)
         stands = doing in ('paused', 'finished')
         if not herd.ns and herd.frame is None:
             domain = os.environ.get('ROS_DOMAIN_ID', '0')
@@ -222,7 +232,7 @@ class View(PageNode):
             lines.append(f'no sheep for {silent:.0f} s')
         if doing:
             lines.append(f'sim: {values.get("outcome") or doing}')
-        controlling, counts = self._statuses[self._status_of(_CONTROLLER)]
+        controlling, counts = self._newest_status(_CONTROLLER)
         if controlling:
             missed = counts.get('deadlines_missed', '0')
             lines.append(f'controller: {controlling}; deadlines missed: {missed}')
@@ -267,7 +277,7 @@ class View(PageNode):
         self._wanted[name] = value  # of a slider that is being moved the newest counts
 
     def _set_wanted(self) -> None:
-        for name in self._wanted.keys() - self._setting.keys():
+        for name in self._wanted.keys() - {what for _, what, _ in self._pending.values()}:
             value = self._wanted.pop(name)
             for node, values in self._values.items():
                 if name in values:
@@ -278,13 +288,10 @@ class View(PageNode):
         if not client.service_is_ready():
             self._panel.refuse(f'{node} does not answer: {name} stays as it is')
             return
-        self._setting[name] = time.monotonic()
         parameter = Parameter(name, value=value).to_parameter_msg()
-        future = client.call_async(SetParameters.Request(parameters=[parameter]))
 
-        def take(_: Any) -> None:
-            self._setting.pop(name, None)
-            (result,) = future.result().results or [None]
+        def take(reply: SetParameters.Response) -> None:
+            (result,) = reply.results or [None]
             if result is not None and result.successful:
                 self._panel.accept()
                 return
@@ -292,18 +299,30 @@ class View(PageNode):
             self._panel.refuse(f'{node} refused {name} = {value:g}: {reason}')
             self._panel.show_value(name, self._values[node][name])
 
-        future.add_done_callback(take)
+        self._call(client, SetParameters.Request(parameters=[parameter]), name, take)
 
     def _move_goal(self, goal: Array) -> None:
         self._goals.publish(messages.pose(goal, self._herd.ns, self.settings.frame))
         self._goal_wanted = goal, time.monotonic()
 
-    def _check_values(self) -> None:
+    def _call(self, client: Client, request: Any, what: str, take: Callable[[Any], None]) -> None:
+        """Ask a node, and let `take` have its reply, for which we wait `_PATIENCE`."""
+        future = client.call_async(request)
+        self._pending[future] = client, what, time.monotonic()
+
+        def end(_: Any) -> None:
+            if self._pending.pop(future, None):
+                take(future.result())
+
+        future.add_done_callback(end)
+
+    def _check_replies(self) -> None:
         """Say so when a node does not answer, and ask it again only when somebody wishes."""
-        for name, asked in list(self._setting.items()):
+        for future, (client, what, asked) in list(self._pending.items()):
             if time.monotonic() > asked + _PATIENCE:
-                del self._setting[name]
-                self._panel.refuse(f'no answer: {name} may be as it was')
+                del self._pending[future]
+                client.remove_pending_request(future)
+                self._panel.refuse(f'no answer: {what} may be as it was')
 
     def _check_goal(self) -> None:
         """Say so when nobody has taken a destination."""
@@ -326,19 +345,18 @@ class View(PageNode):
     def _reset(self) -> None:
         self._ask(self._resets, Trigger.Request(), 'reset')
 
-    def _ask(self, client: Any, request: Any, what: str) -> None:
+    def _ask(self, client: Client, request: Any, what: str) -> None:
         if not client.service_is_ready():
             self._panel.refuse(f'there is no sim to {what}')
             return
-        future = client.call_async(request)
 
-        def take(_: Any) -> None:
-            if future.result().success:
+        def take(reply: Any) -> None:
+            if reply.success:
                 self._panel.accept()
             else:
-                self._panel.refuse(f'sim: {future.result().message}')
+                self._panel.refuse(f'sim: {reply.message}')
 
-        future.add_done_callback(take)
+        self._call(client, request, 'the sim', take)
 
     def _publish_status(self) -> None:
         values = {

@@ -11,6 +11,7 @@ from pathlib import Path
 import re
 import signal
 import time
+from types import SimpleNamespace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -33,6 +34,7 @@ from rcl_interfaces.srv import GetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import SetBool
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BLUE, RED, BLACK = (33, 102, 172), (194, 41, 43), (0, 0, 0)
@@ -343,6 +345,35 @@ def test_strangers_neither_end_a_view_nor_fill_it(looking: Looking, peer: Any) -
     looking.look_until(lambda: looking.value('crowd.noise') == 0.02, peer)
     assert len(looking.view._statuses) <= 3
     assert not [name for name in looking.view._values['sim'] if name.startswith('new_')]
+
+
+def test_status_of_a_sim_that_has_gone_goes(
+    looking: Looking, peer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    statuses = peer.talk_to(DiagnosticArray, '/diagnostics')
+    looking.view._herd.ns = 1
+    both = [DiagnosticStatus(name=name, message='busy') for name in (view._SIM, view._CONTROLLER)]
+    statuses.publish(DiagnosticArray(status=both))
+    looking.look_until(lambda: 'controller: busy' in looking.view._in_words(), peer)
+    assert 'sim: busy' in looking.view._in_words()
+    later = time.monotonic() + 2.0 * view._STATUS_LASTS
+    monkeypatch.setattr(view, 'time', SimpleNamespace(monotonic=lambda: later))
+    assert 'busy' not in looking.view._in_words()
+
+
+def test_sim_that_does_not_answer_is_not_waited_for(
+    looking: Looking, peer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hanging = rclpy.create_node('sim', context=peer.node.context)  # nobody spins it
+    hanging.create_service(SetBool, 'sim/pause', lambda _, response: response)
+    pauses, refused = looking.view._pauses, list[str]()
+    looking.look_until(pauses.service_is_ready, peer)
+    monkeypatch.setattr(looking.view._panel, 'refuse', refused.append)
+    looking.view._pause(True)
+    looking.look_until(lambda: refused, peer)
+    assert refused == ['no answer: the sim may be as it was']
+    assert not pauses._pending_requests
+    hanging.destroy_node()
 
 
 def test_value_below_nothing_has_a_slider_that_reaches_it(looking: Looking, peer: Any) -> None:
