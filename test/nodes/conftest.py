@@ -9,6 +9,7 @@ import itertools
 import os
 from pathlib import Path
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -35,12 +36,24 @@ _FIRST = os.getpid() % 30
 _domains = itertools.cycle([1 + 30 * _WORKER + (_FIRST + k) % 30 for k in range(30)])
 
 
+@contextmanager
+def _free_domain() -> Iterator[int]:
+    """Take a ROS domain that no other test uses, of another run on this machine neither."""
+    with socket.socket(socket.AF_UNIX) as taken:  # others cannot bind to the same name
+        while True:
+            number = next(_domains)
+            with suppress(OSError):
+                taken.bind(f'\0herding_ros, tests, domain {number}')
+                break
+        yield number
+
+
 @pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> int:
+def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """Return a ROS domain that no other test uses, on this machine alone."""
-    number = next(_domains)
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
-    return number
+    with _free_domain() as number:
+        monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
+        yield number
 
 
 @pytest.hookimpl(wrapper=True)
@@ -180,7 +193,7 @@ def start_for_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable
     with ExitStack() as stack:
 
         def start_one(name: str, **parameters: Any) -> Peer:
-            domain = next(_domains)
+            domain = stack.enter_context(_free_domain())
             start = stack.enter_context(_starting(tmp_path_factory.mktemp(name), domain))
             start(name, **parameters)
             peer = Peer(domain)
@@ -198,7 +211,7 @@ def start_together(
     with ExitStack() as stack:
 
         def begin() -> tuple[Callable[..., Process], Peer]:
-            domain = next(_domains)
+            domain = stack.enter_context(_free_domain())
             folder = tmp_path_factory.mktemp('together')
             peer = Peer(domain)
             stack.callback(peer.close)
