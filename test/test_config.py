@@ -15,6 +15,8 @@ from herding_ros.control.parameters import Control, CONTROLS, PAPER
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.simulation import World
+from herding_ros.nodes import messages
+from herding_ros.nodes.drawing import Drawing
 from herding_ros.nodes.settings import (
     ControllerSettings,
     ControlPreset,
@@ -22,7 +24,11 @@ from herding_ros.nodes.settings import (
     MotionKind,
     SimSettings,
 )
+import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import Marker
 import yaml
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
@@ -137,11 +143,17 @@ def published() -> set[str]:
     return {f'/{(each.text or "").lstrip("/")}' for each in found}
 
 
+def panels_of_foxglove() -> dict[str, Any]:
+    """Return what its layout says of each panel."""
+    panels: dict[str, Any] = json.loads((CONFIG / 'foxglove.json').read_text(encoding='utf-8'))
+    return panels['configById']
+
+
 def shown(name: str) -> set[str]:
     """Return the topics that a layout shows."""
     text = (CONFIG.parent / name).read_text(encoding='utf-8')
     if name.endswith('.json'):
-        panels = json.loads(text)['configById']
+        panels = panels_of_foxglove()
         paths = [path['value'].partition('.')[0] for path in panels['Plot!dogs']['paths']]
         summary = panels['DiagnosticSummary!all']['topicToRender']
         return {*panels['3D!herd']['topics'], *paths, summary}
@@ -164,3 +176,35 @@ def test_layouts_show_what_the_nodes_publish(name: str, least: int) -> None:
     assert len(shown(name)) >= least
     for topic in shown(name):
         assert any(fnmatch(topic, each) for each in published()), topic
+
+
+def test_foxglove_draws_sheep_and_dogs_in_colours_of_their_own() -> None:
+    """Where no field is named it takes z, and the colours of a map instead of those told."""
+    topics = panels_of_foxglove()['3D!herd']['topics']
+    told = [topics['/truth/sheep'], topics['/truth/dogs']]
+    one = np.zeros((1, 2))
+    cloud = deserialize_message(messages.cloud(one, one, 0, 'map'), PointCloud2)
+    assert {each['colorField'] for each in told} <= {field.name for field in cloud.fields}
+    assert [each['colorMode'] for each in told] == ['flat', 'flat']
+    assert told[0]['flatColor'] != told[1]['flatColor']
+
+
+def test_foxglove_shows_dogs_and_not_balls_around_them() -> None:
+    """What RViz draws as pale discs are opaque balls there, and the dogs are inside."""
+    nothing = np.zeros((0, 2))
+    drawn = messages.drawing(
+        Drawing(nothing, nothing, np.zeros((1, 2)), 0.1, nothing.reshape(0, 3, 2), 0.01), 0, 'map'
+    )
+    balls = {each.ns for each in drawn.markers if each.type == Marker.SPHERE_LIST}
+    spaces = panels_of_foxglove()['3D!herd']['topics']['/herd/markers']['namespaces']
+    assert balls
+    assert {name for name, told in spaces.items() if not told['visible']} == balls
+
+
+def test_foxglove_shows_the_titles_of_plots() -> None:
+    """It does not read `title`, and its fork Lichtblick has a name of its own for them."""
+    plots = [v for k, v in panels_of_foxglove().items() if k.startswith('Plot!')]
+    assert plots
+    for plot in plots:
+        assert 'title' not in plot
+        assert plot['foxglovePanelTitle'] == plot['lichtblickPanelTitle'] != ''
