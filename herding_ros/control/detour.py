@@ -24,7 +24,8 @@ def detour(start: Array, end: Array, radius: float) -> tuple[Array, Array, Array
     from herding_ros.model.errand_kernels import detours
 
     shape = np.broadcast_shapes(start.shape, end.shape)
-    ends = (np.ascontiguousarray(np.broadcast_to(p, shape)).reshape(-1, 2) for p in (start, end))
+    # Copies, for Numba compiles another kernel for what may not be written.
+    ends = (np.array(np.broadcast_to(p, shape), order='C').reshape(-1, 2) for p in (start, end))
     length, by_start, by_end = np.empty(shape[:-1]), np.empty(shape), np.empty(shape)
     detours(*ends, radius, length.reshape(-1), by_start.reshape(-1, 2), by_end.reshape(-1, 2))
     return length, by_start, by_end

@@ -114,6 +114,7 @@ class Neighbours:
         from herding_ros.model.separation_kernels import neighbours
 
         there = Obstacles.none() if obstacles is None else obstacles
+        d = np.ascontiguousarray(d)  # Numba compiles another kernel for each layout
         return cls(*neighbours(d, distance, there.bars, there.keep, there.passed, reach))
 
 

@@ -187,7 +187,7 @@ class Field:
         """Return how far points (n, 2) [m] are from the nearest bar, (n,) [m]."""
         from .walls import gaps
 
-        return gaps(points, self.bars)
+        return gaps(np.ascontiguousarray(points), self.bars)  # one kernel for all layouts
 
     def check_clear(self, state: HerdState, radius: float) -> None:
         """Raise ValueError unless no sheep is on a wall, and no dog of this radius [m]."""
