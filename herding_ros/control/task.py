@@ -83,7 +83,7 @@ class Task:
         """
         weights, errands = self.control.weights, self.errands
         if errands is not None and errands.goal is not None:
-            place = np.broadcast_to(errands.goal, (len(times), 2))
+            place = np.tile(errands.goal, (len(times), 1))  # a view would need another kernel
             costs: list[Cost] = [Tracking(self.spread, self.spread, place)]
         else:
             straight = np.stack([self.start, self.goal])

@@ -27,10 +27,14 @@ SIZES = {'sheep', 'substeps', 'most_sheep', 'coarse.markers', 'mapping.paths', '
 
 CROWDS = [
     Crowd(),
-    Crowd(PowerLaw(), PowerLaw()),
+    Crowd(sheep=PowerLaw()),
+    Crowd(dog=PowerLaw()),
     Crowd(Mollified(Morse())),
-    Crowd(Harmonic(), Harmonic(), order=1),
+    Crowd(sheep=Harmonic(), order=1),
+    Crowd(dog=Harmonic(), order=1),
 ]
+"""Forces of sheep or of dogs by a table: a planner with both would be compiled for this alone."""
+TABLES = Crowd(PowerLaw(), Harmonic())
 SIM = [SimSettings(), World(sheep=3, dogs=2)]
 CONTROL = Control(horizon=Horizon(length=0.4, accepted=0.2), mapping=Mapping(paths=4))
 CONTROLLER = [ControllerSettings(dogs=2), CONTROL]
@@ -72,7 +76,7 @@ def test_every_number_has_a_range() -> None:
 
 
 def test_the_sim_survives_every_value() -> None:
-    for what, (settings, world, crowd) in situations(SIM):
+    for what, (settings, world, crowd) in [*situations(SIM), ('two tables', [*SIM, TABLES])]:
         run = SimulatedRun(crowd, world, np.array(settings.goal), False, settings.time_limit)
         for _ in range(4):
             if not run.stands:
