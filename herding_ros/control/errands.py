@@ -36,8 +36,8 @@ class Errands:
     inner: distance [m] from there within which a sheep needs no fetching; around: radius [m] of
     the disc around it that dogs do not cross; standoff, reach: see `Reach`; via: (k, 2) [m] where
     a stray is led first that has a wall before it, else NaN; rest: (k,) [m] how long its way is
-    from there; drivers: (j,) dogs that go behind the flock, where too few are; behind: (2,) [m]
-    where that is, from its place.
+    from there; idle: dogs that fetch nothing; drivers: (j,) of them, those that go behind the
+    flock, where too few are; behind: (2,) [m] where that is, from its place.
     """
 
     together: NDArray[np.bool_]
@@ -50,6 +50,7 @@ class Errands:
     reach: float
     via: Array
     rest: Array
+    idle: NDArray[np.int_]
     drivers: NDArray[np.int_]
     behind: Array
 
@@ -100,9 +101,11 @@ class Errands:
             drivers = drivers[:0]
         elif ways is not None:
             behind = ways.in_front(x, (place + behind)[None])[0] - place
+        idle = np.setdiff1d(np.arange(len(d)), dogs)
         return cls(
             together, dogs, strays[found], goal if individually else None, inner, around,
-            reach.standoff, reach.reach, via[found], rest[found], drivers, behind,
+            reach.standoff, reach.reach, via[found], rest[found],
+            idle, np.intersect1d(drivers, idle), behind,
         )  # fmt: skip
 
     def place(self, x: Array) -> Array:

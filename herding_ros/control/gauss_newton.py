@@ -5,17 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-import math
 from typing import Protocol
 
 from herding_ros.model.state import Array
 import numpy as np
 
+from .hessian import Hessian
+from .pqn import pqn
 from .solution import Budget, criticality, Problem, Solution, Status, ValueAndGradient
-from .spg import spg
 
-_MAX_INNER_ITERATIONS, _INNER_TOLERANCE = 100, 0.1
-"""Of each linear problem; the tolerance is relative to that of a step."""
+_MAX_INNER_ITERATIONS, _INNER_TOLERANCE = 30, 0.1
+"""Of each linear problem; the tolerance is relative to that of the whole."""
 
 
 class Linearisation(Protocol):
@@ -38,19 +38,19 @@ def gauss_newton(
     """Minimise |residual(u)|^2 / 2 + R(u) over a convex set.
 
     The regulariser's problem is R alone, over that set. Each iteration replaces the residual by
-    r(u_k) + S (u - u_k), with S = linearise(u_k), and minimises that plus R, as it is, by `spg`,
-    which costs no residual, but may evaluate R a hundred times: both ask whether there is time.
-    Converged when a step is at most the tolerance long; ends when the value does not decrease any
-    more. `Solution.calls` counts residuals. Where the residual can be made small, S may be one
-    for all u, made once.
+    r(u_k) + S (u - u_k), with S = linearise(u_k), and minimises that plus R, as it is, by `pqn`,
+    which costs no residual, but may evaluate R thirty times: both ask whether there is time.
+    Converged when an iteration lowers the value by at most the tolerance, relative to the value;
+    stagnated when it raises it. `Solution.calls` counts residuals. Where the residual can be made
+    small, S may be one for all u, made once.
     """
-    project, inner = regulariser.project, regulariser.inner
-    u = project(start)
+    u = regulariser.project(start)
     r, s, at = residual(u), linearise(u), u
     value = _square(r) + regulariser.value_and_gradient(u)[0]
     inner_budget = Budget(
         _MAX_INNER_ITERATIONS, _INNER_TOLERANCE * budget.tolerance, budget.out_of_time
     )
+    hessian = Hessian()
     status = Status.ITERATION_LIMIT
     iterations = 0
     while iterations < budget.max_iterations:
@@ -61,15 +61,16 @@ def gauss_newton(
         if at is not u:
             s, at = linearise(u), u
         model = _linear_model(r, s, u, regulariser.value_and_gradient)
-        trial = spg(replace(regulariser, value_and_gradient=model), u, inner_budget).u
+        linear = replace(regulariser, value_and_gradient=model, hessian=hessian)
+        trial = pqn(linear, u, inner_budget).u
         trial_residual = residual(trial)
         trial_value = _square(trial_residual) + regulariser.value_and_gradient(trial)[0]
-        if trial_value >= value:
+        if trial_value > value:
             status = Status.STAGNATED
             break
-        step = trial - u
+        decrease = value - trial_value
         u, r, value = trial, trial_residual, trial_value
-        if math.sqrt(inner(step, step)) <= budget.tolerance:
+        if decrease <= budget.tolerance * value:
             status = Status.CONVERGED
             break
     if at is not u and status is not Status.OUT_OF_TIME:

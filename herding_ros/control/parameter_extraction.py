@@ -24,7 +24,8 @@ _NODE_SPACING = 0.25
 Sheep respond within 1 / friction: a centre moves smoothly in between.
 """
 _FEWEST_NODES = 40
-_MAX_ITERATIONS = 5
+_MAX_ITERATIONS, _TOLERANCE = 5, 1e-2
+"""Of a search; see `gauss_newton`."""
 
 
 class ParameterExtraction:
@@ -39,20 +40,20 @@ class ParameterExtraction:
         self,
         coarse: CoarseModel,
         project: Projection,
+        max_speed: float,
         u_coarse: Array,
         gamma: float,
         costs: Sequence[Cost] = (),
         out_of_time: OutOfTime = never,
-        tolerance: float = 1e-4,
     ) -> None:
         """Prepare for the window of a coarse model with the optimum u_coarse.
 
-        gamma [s^2] is the weight of control effort, which is the damping of `extract` and not
-        among `costs`. A search ends when a step in L2(0, T) is at most the tolerance [m/s^0.5].
+        max_speed [m/s] is what `project` cuts at. gamma [s^2] is the weight of control effort,
+        which is the damping of `extract` and not among `costs`.
         """
-        self._coarse, self._project = coarse, project
+        self._coarse, self._project, self._max_speed = coarse, project, max_speed
         self._u_coarse, self._gamma = u_coarse, gamma
-        self._budget = Budget(_MAX_ITERATIONS, tolerance, out_of_time)
+        self._budget = Budget(_MAX_ITERATIONS, _TOLERANCE, out_of_time)
         self._added = AddedCost.to_plan(coarse, costs, u_coarse)
         every = _node_spacing(coarse, len(u_coarse))
         self.centre = remembering(lambda u: centre(coarse.rollout(u).x))
@@ -107,7 +108,11 @@ class ParameterExtraction:
             lambda u: nodes.residual(self.centre(u) - target),
             linearise,
             Problem(
-                regulariser, self._project, coarse.inner, step=ControlEffort(self._gamma).step
+                regulariser,
+                self._project,
+                coarse.inner,
+                self._max_speed,
+                step=ControlEffort(self._gamma).step,
             ),
             start,
             self._budget,

@@ -22,6 +22,7 @@ def pqn(problem: Problem, start: Array, budget: Budget) -> Solution:
     Each iteration minimises a quadratic model of the function over the set (`Hessian`), and
     searches along the line from u to that minimum, with Armijo's rule. Converged when the slope
     along this line promises to lower the value by at most the tolerance, relative to the value.
+    What the budget says of iterations holds for evaluations after the first, too.
 
     Requires an inner product that is a multiple of the dot product. No unit is hidden: with value,
     u and inner product in other units the iterations are the same.
@@ -37,7 +38,7 @@ def pqn(problem: Problem, start: Array, budget: Budget) -> Solution:
     iterations = 0
     if not gradient.any():
         return Solution(u, value, 0.0, Status.CONVERGED, iterations, calls)
-    while iterations < budget.max_iterations:
+    while calls <= budget.max_iterations:
         if hessian.known:
             direction = hessian.model_minimum(project, u, gradient) - u
         else:

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 import itertools
-import math
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
@@ -56,9 +55,6 @@ OPTIMISERS = {'pqn': pqn, 'spg': spg, 'ncg': ncg}
 
 _NO_INFLUENCE = 1e-3
 """Sheep that dogs move by less than this part of the standoff are not influenced."""
-
-_EXTRACTION_TOLERANCE = 4.5e-4
-"""Shortest step of parameter extraction that counts, as a part of full speed all along."""
 
 
 @dataclass(frozen=True)
@@ -211,11 +207,11 @@ class RecedingHorizon:
             extraction = ParameterExtraction(
                 coarse,
                 self._admissible,
+                control.max_speed,
                 solution.u,
                 control.weights.control,
                 found.costs,
                 out_of_time,
-                _EXTRACTION_TOLERANCE * control.max_speed * math.sqrt(horizon.length),
             )
             expectation = self._expectation(state, t)
 

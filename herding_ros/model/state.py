@@ -103,4 +103,6 @@ class Trajectory:
 
     def at(self, k: int) -> HerdState:
         """Return the state after k steps; -1 is the end."""
-        return HerdState(self.x[k], self.v[k], self.ds[k].T)
+        # Copies: sums over a view round otherwise than those over an array of its own.
+        x, v, d = map(np.ascontiguousarray, (self.x[k], self.v[k], self.ds[k].T))
+        return HerdState(x, v, d)

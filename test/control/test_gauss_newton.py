@@ -75,7 +75,7 @@ class LeastSquares:
 
     def solved(self, linearisation: Matrix, start: Array, iterations: int = 20) -> Solution:
         damping = damped(self.weight, self.anchor)
-        budget = Budget(iterations, 1e-5)
+        budget = Budget(iterations, 1e-12)
         return gauss_newton(self.residual, lambda _: linearisation, damping, start, budget)
 
 
@@ -105,7 +105,7 @@ def test_fixed_linearisation_still_leads_to_the_root_of_a_curved_residual() -> N
         lambda _: Matrix(np.eye(SIZE)),
         damped(0.0),
         np.zeros(SHAPE),
-        Budget(50, 1e-8),
+        Budget(50, 1e-6),
     )
     assert found.value < 1e-12
     np.testing.assert_allclose(found.u, root, rtol=0, atol=1e-6)
@@ -125,7 +125,7 @@ def test_linearising_anew_finds_the_minimum_where_the_residual_stays_large() -> 
         linearise,
         damped(0.0),
         np.zeros(SHAPE),
-        Budget(50, 1e-5),
+        Budget(50, 1e-10),
     )
     assert len(calls) > 2
     grid = LIMIT * np.linspace(-1.0, 1.0, 401)

@@ -103,14 +103,14 @@ def test_the_same_bits_in_a_world_of_powers_of_four(case: str) -> None:
 def test_the_same_run_but_for_rounding_in_any_world(
     case: str, length: float, time: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Iterations let rounding errors grow a millionfold in a window of 20 s, and with each look.
+    """Iterations let rounding errors grow to 1e-5 in a window of 20 s, and with each look.
 
     So sensors must not round to 1e-8.
     """
     monkeypatch.setattr('herding_ros.model.simulation.single', lambda values: values)
     here, there = in_world(case, 1.0, 1.0), in_world(case, length, time)
     assert work(there) == work(here)
-    error = 1e-5 if case == 'first seconds' else 1e-7
+    error = 1e-4 if case == 'first seconds' else 1e-7
     for name in ('x', 'd', 'u'):
         np.testing.assert_allclose(
             getattr(there, name), getattr(here, name), rtol=0, atol=error, err_msg=name

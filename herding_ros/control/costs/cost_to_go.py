@@ -70,7 +70,7 @@ class CostToGo:
             by_off += rate * by_way * (by_post + turned)
             by_x[errands.sheep] += by_off
             by_place -= (by_off + rate * by_way * by_dog)[straight].sum(axis=0)
-        idle = np.setdiff1d(np.arange(len(d)), errands.dogs)
+        idle = errands.idle
         off = d[idle] - place
         r = np.linalg.norm(off, axis=1, keepdims=True)
         beyond = np.maximum(r - errands.around - errands.reach, 0.0)
@@ -84,7 +84,7 @@ class CostToGo:
         by_d[idle] += by_idle
         by_place -= by_idle.sum(axis=0)
         drivers = errands.drivers
-        if len(drivers) and len(drivers := np.setdiff1d(drivers, errands.dogs)):
+        if len(drivers):
             # Meanwhile nothing is gained by it within a window.
             back = np.broadcast_to(errands.behind, (len(drivers), 2))
             way, by_dog, _ = detour(d[drivers] - place, back, errands.around)
