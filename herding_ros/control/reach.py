@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from herding_ros.model.crowd import Crowd
+from herding_ros.model.potentials import Potential
 import numpy as np
 
 _DISTANCES = 0.5 * np.geomspace(1e-4, 1e4, 1601, dtype=np.float64)
@@ -30,14 +32,19 @@ class Reach:
     @classmethod
     def of(cls, crowd: Crowd) -> Reach | None:
         """Return the lengths of a crowd's dogs; None if no sheep notices them."""
-        distances = crowd.dog.extent * _DISTANCES
-        slope = crowd.dog.derivative(distances)
-        force = np.abs(slope)
-        greatest = float(force.max())
-        if not greatest > 0.0:
-            return None
+        return _reach(crowd.dog)
 
-        def last_at(part: float) -> float:
-            return float(distances[np.flatnonzero(force >= part * greatest)[-1]])
 
-        return cls(last_at(_STRONG), last_at(_FELT), bool(slope[force.argmax()] < 0.0))
+@lru_cache(maxsize=64)  # each plan asks, and a convolution takes long
+def _reach(dog: Potential) -> Reach | None:
+    distances = dog.extent * _DISTANCES
+    slope = dog.derivative(distances)
+    force = np.abs(slope)
+    greatest = float(force.max())
+    if not greatest > 0.0:
+        return None
+
+    def last_at(part: float) -> float:
+        return float(distances[np.flatnonzero(force >= part * greatest)[-1]])
+
+    return Reach(last_at(_STRONG), last_at(_FELT), bool(slope[force.argmax()] < 0.0))

@@ -23,6 +23,7 @@ from herding_ros.model.state import Array, finite, HerdState, Trajectory
 import numpy as np
 from numpy.typing import NDArray
 
+from .blur import blurred
 from .coarse_model import CoarseModel, RememberingModel
 from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
@@ -173,6 +174,8 @@ class RecedingHorizon:
         # Of less than two sheep to each blob the limit is no simpler, and worse.
         if len(state.x) > 2 * markers:
             crowd, state = mean_field(crowd, state, markers)
+        if horizon.has_feedback:
+            crowd = blurred(crowd, horizon.feedback)
         return CoarseModel(crowd, state, horizon.dt, horizon.substeps, self.control.motion)
 
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:
