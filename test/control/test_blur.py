@@ -13,9 +13,7 @@ from herding_ros.model.state import HerdState
 import numpy as np
 import pytest
 
-TARGETS = Crowd(
-    sheep=Harmonic(0.0, 1.0), dog=Harmonic(3.0, 2.5), friction=2.0, order=1, noise=1.5
-)
+TARGETS = Crowd(sheep=Harmonic(0.0, 1.0), dog=Harmonic(3.0, 2.5), friction=2.0, order=1, noise=1.5)
 
 
 def test_force_is_that_on_average_of_a_sheep_that_diffuses() -> None:
@@ -39,7 +37,13 @@ def test_dogs_keep_their_distance_from_sheep_that_diffuse() -> None:
 
 
 @pytest.mark.parametrize(
-    'crowd', [Crowd(), Crowd(noise=0.03), replace(TARGETS, noise=0.0), replace(TARGETS, dog=Morse(0.0, 1.0, 0.0, 1.0))]
+    'crowd',
+    [
+        Crowd(),
+        Crowd(noise=0.03),
+        replace(TARGETS, noise=0.0),
+        replace(TARGETS, dog=Morse(0.0, 1.0, 0.0, 1.0)),
+    ],
 )
 def test_nothing_changes_where_noise_moves_sheep_little_or_none_notices_a_dog(
     crowd: Crowd,
