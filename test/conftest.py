@@ -68,13 +68,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         item.add_marker(pytest.mark.xdist_group('timed' if name in TIMED else name))
         if starts_nodes(item):  # a busy machine may hold up a process; the output says RERUN
             item.add_marker(pytest.mark.flaky(reruns=1))
-    # What waits for nodes goes beside what keeps a processor busy: their files take turns.
-    files = dict[bool, list[Path]]({True: [], False: []})
-    for item in items:
-        if item.path not in files[True] + files[False]:
-            files[starts_nodes(item)].append(item.path)
-    turns = {path: turn for each in files.values() for turn, path in enumerate(each)}
-    items.sort(key=lambda item: (item.path.stem not in TIMED, turns[item.path]))
+    items.sort(key=lambda item: (item.path.stem not in TIMED, not starts_nodes(item)))
 
 
 def pytest_collection_finish() -> None:
