@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller herds in a simulator of somebody else: here, sheep on a meadow that slopes.
 
-This class has what `steer` asks of a plant. The controller believes that it is flat.
+This class has what `steer` asks of a plant. The controller is told how dogs are felt, and
+believes that the meadow is flat.
 """
 
 from herding_ros import Control, Crowd, HerdState, Mapping, Observation, RecedingHorizon, steer
+from herding_ros.model.potentials import Morse
 import numpy as np
 
 GOAL, SLIDE = np.array([0.4, 0.4]), np.array([0.002, 0.0])  # [m], [m/s]
+CROWD = Crowd(dog=Morse(0.01, 0.5, 0.0, 1.0), order=1)  # 0.02 exp(-2 r), at a friction of 0.5
 
 
 class Meadow:
@@ -40,6 +43,6 @@ class Meadow:
         self.state, self.dog_velocities = HerdState(x + 0.1 * v, v, d + 0.1 * u), u
 
 
-planner = RecedingHorizon(Crowd(), Control(mapping=Mapping(max_iterations=0)), GOAL)
+planner = RecedingHorizon(CROWD, Control(mapping=Mapping(max_iterations=0)), GOAL)
 run = steer(Meadow(seed=1), planner, time_limit=150.0)
 print(f'arrived: {run.arrived}, after {run.t[-1]:.1f} s in {len(run.reports)} plans')
