@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller herds in a simulator of somebody else: here, sheep on a meadow that slopes.
 
-This class has what `steer` asks of a plant. The controller is told how dogs are felt, and
-believes that the meadow is flat.
+It is told how dogs are felt, and believes that the meadow is flat.
 """
 
 from herding_ros import Control, Crowd, HerdState, Mapping, Observation, RecedingHorizon, steer
@@ -14,7 +13,7 @@ CROWD = Crowd(dog=Morse(0.01, 0.5, 0.0, 1.0), order=1)  # 0.02 exp(-2 r), at a f
 
 
 class Meadow:
-    """Ten sheep that flee three dogs, stay together, and slide to the right."""
+    """A plant for `steer`: ten sheep that flee three dogs, stay together, and slide right."""
 
     control_period = 0.1  # [s]
 
@@ -36,10 +35,8 @@ class Meadow:
     def advance(self, u):
         """Move on by one control period under the dogs' velocities u (M, 2) [m/s]."""
         x, d = self.state.x, self.state.d
-        apart = x[:, None] - d
-        r = np.linalg.norm(apart, axis=2, keepdims=True)
-        v = (0.04 * np.exp(-2.0 * r) * apart / r).sum(axis=1)
-        v += SLIDE + 0.05 * (x.mean(axis=0) - x)
+        r = np.linalg.norm(apart := x[:, None] - d, axis=2, keepdims=True)
+        v = (0.04 * np.exp(-2.0 * r) * apart / r).sum(axis=1) + SLIDE + 0.05 * (x.mean(axis=0) - x)
         self.state, self.dog_velocities = HerdState(x + 0.1 * v, v, d + 0.1 * u), u
 
 

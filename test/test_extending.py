@@ -143,7 +143,7 @@ def test_another_controller(run: Run) -> None:
 
 def test_a_foreign_simulator(capsys: pytest.CaptureFixture[str]) -> None:
     program = PAGE.parents[1] / 'examples' / 'foreign_simulator.py'
-    assert len(program.read_text(encoding='utf-8').splitlines()) <= 48
+    assert len(program.read_text(encoding='utf-8').splitlines()) <= 45
     run = runpy.run_path(str(program))['run']
     assert 'arrived: True' in capsys.readouterr().out
     assert 20.0 < run.t[-1] < 80.0
