@@ -480,14 +480,20 @@ def test_publishers_are_looked_at_when_there_are_more_or_fewer_and_seldom_otherw
         wait_until(lambda: is_heard(publishers))
 
 
-def test_nodes_that_come_and_go_leave_no_clients(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def recorder(domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Recorder]:
+    """A recorder with a bag, in this process, that nobody spins."""
     monkeypatch.chdir(tmp_path)
     start_ros(domain_id=domain)
-    recorder = Recorder()
-    recorder.create_bag()
+    one = Recorder()
+    one.create_bag()
+    yield one
+    one.bag.close()
+    one.destroy_node()
+    rclpy.shutdown()
 
+
+def test_nodes_that_come_and_go_leave_no_clients(recorder: Recorder, domain: int) -> None:
     def clients() -> int:
         recorder._search_graph()
         return len(list(recorder.clients))
@@ -496,19 +502,12 @@ def test_nodes_that_come_and_go_leave_no_clients(
     with other_node(domain, 'passer_by'):
         wait_until(lambda: clients() == before + 3)
     wait_until(lambda: clients() == before)
-    recorder.bag.close()
-    recorder.destroy_node()
-    rclpy.shutdown()
 
 
 def test_nodes_that_come_and_go_leave_few_parameters(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recorder: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Metadata that grow without end can be read no more."""
-    monkeypatch.chdir(tmp_path)
-    start_ros(domain_id=domain)
-    recorder = Recorder()
-    recorder.create_bag()
     for k in range(500):
         there = {'/sim', f'/passer_by_{k}'}
         answers = {name: {'use_sim_time': False} for name in there}
@@ -518,9 +517,6 @@ def test_nodes_that_come_and_go_leave_few_parameters(
     kept = set(recorder._parameters_of)
     assert {'/sim', '/passer_by_0', '/passer_by_499'} < kept
     assert len(kept) < 200
-    recorder.bag.close()
-    recorder.destroy_node()
-    rclpy.shutdown()
 
 
 def test_ten_thousand_messages_a_second(node: Node, record: Callable[..., Recording]) -> None:

@@ -19,7 +19,7 @@ class CollectAndDrive:
         posts = np.array(state.dogs)
         places = errands.places(state.x)
         posts[errands.dogs] = behind_each(state.x[errands.sheep], places, errands.standoff)
-        idle = np.setdiff1d(np.arange(len(posts)), errands.dogs)
+        idle = errands.idle
         if len(idle):
             driving = drivers(state.x[errands.together], goal, len(idle), errands.standoff)
             posts[idle] = nearest_posts(state.dogs[idle], driving)
