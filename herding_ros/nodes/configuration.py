@@ -97,6 +97,14 @@ def crowd_of(values: Mapping[str, Any]) -> Crowd:
     return crowd.with_values(own(crowd), 'crowd.')
 
 
+def awaited(recorder: Mapping[str, Any]) -> str:
+    """Return whom the other nodes wait for, `wait_for`, beside a recorder of these parameters.
+
+    They wait until all that they publish is heard. One that records chosen topics never hears all.
+    """
+    return '' if any(recorder.get('topics') or ()) else 'recorder'
+
+
 def assignment(text: str) -> tuple[str, Any]:
     """Return name and value of NAME:=VALUE, where VALUE is YAML, as after a node's -p."""
     name, sign, value = text.partition(':=')

@@ -27,7 +27,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rich.console import Console
 
-from .configuration import assignment, checked, parameters_of
+from .configuration import assignment, awaited, checked, parameters_of
 from .middleware import start_ros
 from .progress import ProgressLine, Watcher
 from .signals import note_signals, Noted
@@ -230,7 +230,8 @@ def _start_children(options: argparse.Namespace, logs: Path) -> list[Child]:
     lockstep = options.real_time is None
     # In lockstep the stamps are the time, and the clock would only wake the controller.
     own = {
-        'lockstep': lockstep, 'wait_for': 'recorder', 'stop_on_arrival': not options.excite,
+        'lockstep': lockstep, 'wait_for': awaited(options.values['recorder']),
+        'stop_on_arrival': not options.excite,
     }  # fmt: skip
     own_of = {
         'recorder': {'bag': options.out / 'bag', 'use_sim_time': True},

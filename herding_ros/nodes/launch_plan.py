@@ -22,7 +22,7 @@ from herding_ros.control.lead import lead_at
 from herding_ros.control.parameters import check_lockstep, Control
 import yaml
 
-from .configuration import crowd_of, parameters_of
+from .configuration import awaited, crowd_of, parameters_of
 from .publishing import CLOCK
 
 
@@ -163,11 +163,10 @@ def _plan(nodes: tuple[str, ...], values: dict[str, Any]) -> LaunchPlan:
         nodes = (*nodes, 'recorder')
         if Path(told['bag']).exists():
             raise ValueError(f'bag must be a folder that does not exist, got {told["bag"]!r}')
-    # Nothing moves before the recorder, if there is one, listens to every topic.
-    told['wait_for'] = 'recorder' if record else ''
+    written = parameters_of(config)
+    told['wait_for'] = awaited(written('recorder', namespace)) if record else ''
     if rviz:
         _require('rviz2', 'rviz:=true')
-    written = parameters_of(config)
     if 'lead' not in written('controller', namespace) and 'real_time_factor' in told:
         told['lead'] = lead_at(told['real_time_factor'])
     if 'sim' in nodes and told['lockstep']:

@@ -37,8 +37,8 @@ class NodeSettings(Parameters):
     )
     wait_for: str = quantity(
         '',
-        'node (a recorder) to wait for until it is subscribed: its name in the same namespace, '
-        'or its full name',
+        'node (a recorder of all topics) to wait for until it is subscribed: its name in the same '
+        'namespace, or its full name',
     )
 
     def __post_init__(self) -> None:

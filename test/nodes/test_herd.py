@@ -182,6 +182,16 @@ def test_dogs_run_to_and_fro_for_a_recording_that_tells_how_sheep_respond(
     } == {}
 
 
+def test_chosen_topics_alone_are_recorded(start: Callable[..., Any], tmp_path: Path) -> None:
+    """And nobody waits for the recorder to hear the others."""
+    chosen = ['/truth/sheep', '/dog_1/cmd_vel']
+    options = [*OPTIONS, '-p', f'topics:={chosen}', '--time-limit', '1']
+    process = start('herd', *options, '--out', str(tmp_path / 'out'))
+    assert process.wait() == 1, process.log  # time ran out
+    assert read(tmp_path / 'out' / 'bag').keys() == {*chosen, '/clock'}
+    assert (tmp_path / 'out' / 'trajectories.png').exists()
+
+
 def test_large_flock_is_herded_as_in_the_loop_without_ros(
     start: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -65,6 +65,18 @@ def test_the_herd_is_the_sim_the_controller_and_a_recorder_if_asked() -> None:
         assert plan(record=no).nodes == ('sim', 'controller')
 
 
+@pytest.mark.parametrize('section', ['/**', 'recorder'])
+def test_nobody_waits_for_a_recorder_that_hears_chosen_topics_alone(
+    tmp_path: Path, section: str
+) -> None:
+    for topics, awaited in (('[/sheep]', ''), ("['']", 'recorder')):
+        file = tmp_path / 'few.yaml'
+        file.write_text(f'{section}:\n  ros__parameters: {{topics: {topics}}}\n')
+        few = plan('real_dogs', config=str(file))
+        assert few.nodes == ('controller', 'recorder')
+        assert few.values['wait_for'] == awaited
+
+
 def test_real_dogs_have_no_sim_and_the_time_of_the_system() -> None:
     real = plan('real_dogs', goal='[3, -1]')
     assert real.nodes == ('controller', 'recorder')
