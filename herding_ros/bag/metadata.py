@@ -169,7 +169,9 @@ def read_metadata(folder: Path) -> dict[str, Any]:
             raise FileNotFoundError(
                 f'{folder} has not been closed: there is no {FILE_NAME}; {advice(folder)}'
             )
-        raise FileNotFoundError(f'{folder} is not a bag: there is no {FILE_NAME}')
+        raise FileNotFoundError(
+            f'{folder} is not a bag: there is no {FILE_NAME}{_what_is_meant(folder)}'
+        )
     try:
         with file.open(encoding='utf-8') as stream:
             content = _read(from_yaml(stream.read(MOST_CHARACTERS + 1)), {ROOT_KEY: _BAG}, '')
@@ -184,6 +186,14 @@ def read_metadata(folder: Path) -> dict[str, Any]:
             f'{advice(folder)}'
         )
     return content
+
+
+def _what_is_meant(folder: Path) -> str:
+    """Return what to give in place of a file of a bag, or of the folder of a run."""
+    if folder.is_file():
+        return '; give the folder it is in'
+    bag = folder / 'bag'
+    return f'; give {bag}' if bag.is_dir() else ''
 
 
 def file_names(content: Mapping[str, Any]) -> list[str]:

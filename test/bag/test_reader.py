@@ -627,6 +627,12 @@ def test_largest_gap(tmp_path: Path, run_recorder: Any) -> None:
 def test_no_bag_is_told(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match='nothing is not a bag'):
         read_run(tmp_path / 'nothing')
+    (tmp_path / 'run' / 'bag').mkdir(parents=True)
+    with pytest.raises(FileNotFoundError, match=r'run is not a bag: .*; give .*run/bag$'):
+        read_run(tmp_path / 'run')
+    (tmp_path / 'bag_0.mcap').touch()
+    with pytest.raises(FileNotFoundError, match=r'; give the folder it is in$'):
+        read_run(tmp_path / 'bag_0.mcap')
 
 
 def test_unclosed_bag_is_told(tmp_path: Path, run_recorder: Any, arrays: dict[str, Any]) -> None:
