@@ -18,7 +18,7 @@ from typing import Protocol
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.field import field_of
-from herding_ros.model.flock import centre
+from herding_ros.model.flock import centre, distance, spread, without_strays
 from herding_ros.model.motion import Obedient
 from herding_ros.model.parameters import TINY
 from herding_ros.model.state import Array, finite, HerdState
@@ -220,11 +220,18 @@ class Pilot:
         return [dog_name(m) for m in sorted(self._obedience.disobedient)]
 
     def estimate_values(self) -> dict[str, object]:
-        """Return what the filter knows of its own errors, by name; empty if there is none."""
+        """Return where the flock is, and what a filter knows of its own errors, by name."""
+        if self.estimate is None:
+            return {}
+        flock = without_strays(self.estimate.state.x, self._control.arrival.strays)
+        seen: dict[str, object] = {
+            'distance_m': float(distance(flock, np.array(self._goal))),
+            'spread_m': float(spread(flock)),
+        }
         deviations = self._estimator.deviations
         if deviations is None:
-            return {}
-        return {
+            return seen
+        return seen | {
             'sheep_out_of_sight': self._estimator.carried,
             'position_error_m': deviations[0],
             'velocity_error_m_s': deviations[1],

@@ -796,6 +796,17 @@ def test_sheep_out_of_sight_are_planned_for_until_they_are_lost_and_that_is_said
     assert not lockstep()[0].estimate_values()
 
 
+def test_it_is_told_how_far_and_how_spread_the_observed_flock_is() -> None:
+    """Which is all that one who herds with robots learns of an arrival."""
+    pilot, planner = lockstep(Control(horizon=HORIZON, arrival=flock.Allowance(strays=1)))
+    x = np.array([[3.0, 0.0], [3.0, 2.0], [5.0, 0.0], [5.0, 2.0], [90.0, 0.0]])
+    pilot.decide(replace(seen(0.0, sheep=5), state=HerdState(x, 0.0 * x, np.eye(3, 2))))
+    to_goal = math.hypot(4.0 - planner.goal[0], 1.0 - planner.goal[1])
+    assert pilot.estimate_values() == pytest.approx(
+        {'distance_m': to_goal, 'spread_m': math.sqrt(2.0)}
+    )
+
+
 def test_sheep_may_come_and_go() -> None:
     field = Field().herding()
     for sheep in (1, 5, 3):
