@@ -12,7 +12,7 @@ from herding_ros.model.potentials import Mollified
 from .reach import Reach
 from .surprise import displacement_variance
 
-_SMALL = 0.5
+_SMALL = 0.25
 """Part of the standoff up to which an uncertain place makes little difference."""
 
 
@@ -23,7 +23,7 @@ def blurred(crowd: Crowd, time: float) -> Crowd:
     then. Without noise it is driven fastest from close behind, but there a small step aside turns
     the push aside, too. What is to be expected of a push is that of the convolved potential, which
     is weak near by: so dogs keep their distance. The same crowd where sheep move by less than
-    half the standoff, or notice no dog.
+    a quarter of the standoff, or notice no dog.
     """
     reach = Reach.of(crowd)
     width = crowd.noise * math.sqrt(displacement_variance(crowd, time))
