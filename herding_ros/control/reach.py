@@ -16,6 +16,12 @@ _DISTANCES = 0.5 * np.geomspace(1e-4, 1e4, 1601, dtype=np.float64)
 _STRONG, _FELT = 0.8, 0.1
 """Parts of the greatest force: at the standoff, and at the reach."""
 
+_OUTRUN = 2.0
+"""A sheep that is pushed to this multiple of the dogs' speed is out of hand.
+
+It then leaves a dog that runs after it as fast as the dog could run from it.
+"""
+
 
 @dataclass(frozen=True)
 class Reach:
@@ -30,16 +36,31 @@ class Reach:
     repels: bool
 
     @classmethod
-    def of(cls, crowd: Crowd) -> Reach | None:
-        """Return the lengths of a crowd's dogs; None if no sheep notices them."""
-        return _reach(crowd.dog)
+    def of(cls, crowd: Crowd, max_speed: float) -> Reach | None:
+        """Return the lengths of a crowd for dogs with this speed limit [m/s].
+
+        None if no sheep notices them. The greatest force is that from a distance r [m] on from
+        which no sheep leaves its dog behind,
+
+            |P'(r)| / max(alpha, u_max / r) <= 2 u_max,
+
+        the speed to which it pushes a sheep before friction stops that, or the dog, which takes
+        r / u_max for the distance, is there (without inertia: with alpha alone). Nearer by, a
+        power law would have its greatest force where it is cut off.
+        """
+        inertia = crowd.order == 2
+        return _reach(crowd.dog, crowd.friction, inertia, max_speed)
 
 
 @lru_cache(maxsize=64)  # each plan asks, and a convolution takes long
-def _reach(dog: Potential) -> Reach | None:
+def _reach(dog: Potential, friction: float, inertia: bool, max_speed: float) -> Reach | None:
     distances = dog.extent * _DISTANCES
     slope = dog.derivative(distances)
     force = np.abs(slope)
+    rate = np.maximum(friction, max_speed / distances) if inertia else friction
+    outrun = np.flatnonzero(force > _OUTRUN * max_speed * rate)
+    if len(outrun):
+        distances, slope, force = (each[outrun[-1] :] for each in (distances, slope, force))
     greatest = float(force.max())
     if not greatest > 0.0:
         return None

@@ -175,7 +175,7 @@ class RecedingHorizon:
         if len(state.x) > 2 * markers:
             crowd, state = mean_field(crowd, state, markers)
         if horizon.has_feedback:
-            crowd = blurred(crowd, horizon.feedback)
+            crowd = blurred(crowd, horizon.feedback, self.control.max_speed)
         return CoarseModel(crowd, state, horizon.dt, horizon.substeps, self.control.motion)
 
     def solve(self, state: HerdState, t: float, no_time_for: NoTimeFor = never) -> Window:

@@ -36,7 +36,7 @@ class Scale:
 
         Where no sheep notices dogs it is that of the reference scenario.
         """
-        there, here = Reach.of(Crowd()), Reach.of(crowd)
+        there, here = Reach.of(Crowd(), Control().max_speed), Reach.of(crowd, max_speed)
         if there is None or here is None:
             return cls(1.0, 1.0)
         length = here.reach / there.reach

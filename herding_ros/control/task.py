@@ -63,7 +63,8 @@ class Task:
     @classmethod
     def of(cls, control: Control, model: CoarseModel, goal: Array) -> Task:
         """Return the task in the state of a model; goal (2,) [m]."""
-        crowd, state, reach = model.crowd, model.state, Reach.of(model.crowd)
+        crowd, state = model.crowd, model.state
+        reach = Reach.of(crowd, control.max_speed)
         ways = Ways.of(field_of(crowd), control.bodies, state.x, goal)
         aim = goal if ways is None else ways.aim(state.x)
         attainable = control.reference.kind == 'attainable'

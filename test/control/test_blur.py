@@ -25,14 +25,14 @@ def test_force_is_that_on_average_of_a_sheep_that_diffuses() -> None:
     forces = -TARGETS.dog.derivative(r) * apart / r
     error = forces.std(axis=0) / np.sqrt(len(forces))
     at = np.linalg.norm(d)
-    expected = -blurred(TARGETS, time).dog.derivative(np.array([at]))[0] * d / at
+    expected = -blurred(TARGETS, time, 7.5).dog.derivative(np.array([at]))[0] * d / at
     assert (np.abs(forces.mean(axis=0) - expected) < 4.0 * error).all()
     plain = -TARGETS.dog.derivative(np.array([at]))[0] * d / at
     assert (np.abs(forces.mean(axis=0) - plain) > 20.0 * error).any()
 
 
 def test_dogs_keep_their_distance_from_sheep_that_diffuse() -> None:
-    standoffs = [Reach.of(blurred(TARGETS, time)).standoff for time in (0.0, 0.3, 1.0)]
+    standoffs = [Reach.of(blurred(TARGETS, time, 7.5), 7.5).standoff for time in (0.0, 0.3, 1.0)]
     assert standoffs == sorted(set(standoffs))
 
 
@@ -48,12 +48,12 @@ def test_dogs_keep_their_distance_from_sheep_that_diffuse() -> None:
 def test_nothing_changes_where_noise_moves_sheep_little_or_none_notices_a_dog(
     crowd: Crowd,
 ) -> None:
-    assert blurred(crowd, 1.0) is crowd
+    assert blurred(crowd, 1.0, 7.5) is crowd
 
 
 def test_without_feedback_plans_are_those_of_the_paper() -> None:
     state = HerdState(np.eye(2), np.zeros((2, 2)), 3.0 * np.ones((1, 2)))
     for feedback, same in ((1.0, False), (10.0, True)):
-        control = Control().with_values({'horizon.feedback': feedback})
+        control = Control().with_values({'horizon.feedback': feedback, 'max_speed': 7.5})
         planner = RecedingHorizon(TARGETS, control, np.zeros(2))
         assert (planner.coarse_model(state).crowd == TARGETS) is same

@@ -17,7 +17,7 @@ from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.field import Field
 from herding_ros.model.flock import centre
-from herding_ros.model.potentials import Morse
+from herding_ros.model.potentials import Morse, PowerLaw
 from herding_ros.model.state import HerdState
 import numpy as np
 import pytest
@@ -37,15 +37,31 @@ def herd(strays: int, dogs: int, seed: int = 0) -> HerdState:
 
 
 def test_reach_of_an_exponential_and_of_a_dog_that_nobody_notices() -> None:
-    found = Reach.of(Crowd(dog=Morse(1.0, 0.5, 0.0, 1.0)))
+    found = Reach.of(Crowd(dog=Morse(0.02, 0.5, 0.0, 1.0)), 0.1)
     assert found is not None
     assert found.standoff == pytest.approx(-0.5 * np.log(0.8), rel=0.02)
     assert found.reach == pytest.approx(-0.5 * np.log(0.1), rel=0.02)
     assert found.repels
-    assert Reach.of(Crowd(dog=Morse(0.0, 1.0, 0.0, 1.0))) is None
-    guided = Reach.of(CROWDS['guided'])
+    assert Reach.of(Crowd(dog=Morse(0.0, 1.0, 0.0, 1.0)), 0.1) is None
+    guided = Reach.of(CROWDS['guided'], 0.1)
     assert guided is not None
     assert not guided.repels
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_reach_does_not_depend_on_where_a_power_law_is_cut_off(order: int) -> None:
+    """Pushes W / r^2, to twice the dog's speed (order 1) at sqrt(W / (2 a u_max))."""
+    w, max_speed = 2.0, 1.0
+    found = []
+    for cut in (1e-2, 1e-3):
+        crowd = Crowd(dog=PowerLaw(w / cut, 1.0, 0.0, 1.0, cut), friction=2.0, order=order)
+        found.append(Reach.of(crowd, max_speed))
+    for name in ('standoff', 'reach'):
+        assert getattr(found[0], name) == pytest.approx(getattr(found[1], name), rel=0.02)
+    if order == 1:
+        nearest = np.sqrt(w / (2.0 * 2.0 * max_speed))
+        assert found[0].standoff == pytest.approx(nearest / np.sqrt(0.8), rel=0.02)
+        assert found[0].reach == pytest.approx(nearest / np.sqrt(0.1), rel=0.02)
 
 
 @pytest.mark.parametrize('seed', range(5))

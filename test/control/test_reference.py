@@ -49,7 +49,8 @@ def test_pace_is_the_speed_that_a_sheep_keeps_before_a_dog_at_the_standoff() -> 
         d = x - standoff * np.array([[1.0, 0.0]])
         end = rollout(crowd, HerdState(x, v, d), np.zeros((1, 1, 2)), 0.05).at(-1)
         x, v = end.x, end.v
-    found = pace(crowd, Reach.of(crowd), ONE, np.array([3.0, 0.0]), 1.0)
+    reach = Reach.of(crowd, 1.0)
+    found = pace(crowd, reach, ONE, np.array([3.0, 0.0]), 1.0)
     assert found == pytest.approx(float(v[0, 0]), rel=0.01)
 
 
@@ -57,11 +58,12 @@ def test_pace_is_the_speed_that_a_sheep_keeps_before_a_dog_at_the_standoff() -> 
 def test_pace_is_in_proportion_to_what_dogs_do_until_they_run_as_fast_as_they_can(
     crowd: Crowd,
 ) -> None:
-    found = pace(crowd, Reach.of(crowd), ONE, GOAL, 1e3)
+    reach = Reach.of(crowd, 1e3)
+    found = pace(crowd, reach, ONE, GOAL, 1e3)
     assert pace(
-        replace(crowd, friction=2.0 * crowd.friction), Reach.of(crowd), ONE, GOAL, 1e3
+        replace(crowd, friction=2.0 * crowd.friction), reach, ONE, GOAL, 1e3
     ) == pytest.approx(0.5 * found)
-    assert pace(crowd, Reach.of(crowd), ONE, GOAL, 0.5 * found) == 0.5 * found
+    assert pace(crowd, reach, ONE, GOAL, 0.5 * found) == 0.5 * found
     assert (
-        pace(crowd, Reach.of(crowd), ONE, ONE.x[0], 0.05) == 0.05
+        pace(crowd, reach, ONE, ONE.x[0], 0.05) == 0.05
     )  # at the goal there is no direction

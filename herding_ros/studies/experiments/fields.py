@@ -89,7 +89,8 @@ def run(
         pilot = LockstepPilot(RecedingHorizon(crowd, control, goal, seed), dogs)
         decide = as_policy(pilot, reports)
     elif policy == 'strombom':
-        scale, reach = Scale.of(crowd, world.max_speed), Reach.of(crowd)
+        scale = Scale.of(crowd, world.max_speed)
+        reach = Reach.of(crowd, world.max_speed)
         assert reach is not None
         distance = Strombom.sheep_distance * scale.length
         rng = np.random.default_rng([seed, 30_000])

@@ -26,7 +26,7 @@ import pytest
 
 GOAL = np.array([1.0, 0.0])
 CONTROL = Control(horizon=Horizon(length=8.0, accepted=4.0), mapping=Mapping(max_iterations=0))
-REACH = Reach.of(Crowd())
+REACH = Reach.of(Crowd(), CONTROL.max_speed)
 assert REACH is not None
 
 
