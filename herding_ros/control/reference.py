@@ -31,7 +31,7 @@ def pace(
     if reach is None or not length:
         return max_speed
     target = goal if reach.repels else centre(x) - offset
-    away = x[:, None] - drivers(x, target, len(state.d), reach.standoff)
+    away = x[:, None] - drivers(x, target, len(state.d), reach.standoff, reach.reach)
     distance = np.maximum(np.linalg.norm(away, axis=-1), TINY)
     push = -(crowd.dog.derivative(distance) / distance)[..., None] * away
     force = abs(float(push.sum(axis=1).mean(axis=0) @ offset) / length)

@@ -5,7 +5,7 @@ from herding_ros.control.reach import Reach
 from herding_ros.control.reference import pace, reference
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
-from herding_ros.model.potentials import Morse
+from herding_ros.model.potentials import Harmonic, Morse, Tabulated
 from herding_ros.model.state import HerdState
 import numpy as np
 import pytest
@@ -52,6 +52,19 @@ def test_pace_is_the_speed_that_a_sheep_keeps_before_a_dog_at_the_standoff() -> 
     reach = Reach.of(crowd, 1.0)
     found = pace(crowd, reach, ONE, np.array([3.0, 0.0]), 1.0)
     assert found == pytest.approx(float(v[0, 0]), rel=0.01)
+
+
+def test_pace_of_dogs_whose_push_ends_sharply_is_what_they_can_do_to_half_a_flock() -> None:
+    """The standoff is the edge of the push: a dog that stood so far off would move few sheep."""
+    edge, push = 0.15, 0.02
+    r = np.linspace(0.0, edge, 31)
+    dog = Tabulated(tuple(r), tuple(push * (edge - r)))
+    crowd = Crowd(sheep=Harmonic(), dog=dog, friction=1.0, order=1)
+    x = 0.05 * np.random.default_rng(1).standard_normal((50, 2))
+    state = HerdState(x, np.zeros_like(x), np.array([[9.0, 9.0]]))
+    reach = Reach.of(crowd, 1.0)
+    assert reach.standoff > 0.9 * edge
+    assert 0.3 * push < pace(crowd, reach, state, GOAL, 1.0) < push
 
 
 @pytest.mark.parametrize('crowd', CROWDS.values(), ids=CROWDS)

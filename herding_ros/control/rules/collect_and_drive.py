@@ -21,17 +21,22 @@ class CollectAndDrive:
         posts[errands.dogs] = behind_each(state.x[errands.sheep], places, errands.standoff)
         idle = errands.idle
         if len(idle):
-            driving = drivers(state.x[errands.together], goal, len(idle), errands.standoff)
+            driving = drivers(
+                state.x[errands.together], goal, len(idle), errands.standoff, errands.reach
+            )
             posts[idle] = nearest_posts(state.dogs[idle], driving)
         return posts
 
 
-def drivers(x: Array, goal: Array, dogs: int, standoff: float) -> Array:
+def drivers(x: Array, goal: Array, dogs: int, standoff: float, reach: float) -> Array:
     """Return posts (dogs, 2) [m] side by side behind sheep at x (N, 2) on the way to a goal.
 
-    They are at the standoff from a disc that holds as many sheep as the flock's spread tells.
+    They are at the standoff from a disc that holds as many sheep as the flock's spread tells, but
+    near enough for the middle of the flock to be within reach [m], at the edge of the disc at
+    nearest: where a push ends sharply, the standoff is nearly the reach, and from there on few
+    sheep would feel it.
     """
     if not len(x):
         return np.tile(goal, (dogs, 1))
-    middle, radius = centre(x), np.sqrt(2.0) * float(spread(x)) + standoff
-    return behind(middle, radius, goal, dogs)
+    middle, edge = centre(x), np.sqrt(2.0) * float(spread(x))
+    return behind(middle, min(edge + standoff, max(edge, reach)), goal, dogs)
