@@ -3,12 +3,14 @@
 
 Of dogs that are felt g times as strongly and s times as far, the force on a sheep at a distance r
 is g f(r / s), with f that of the model. In some time the model without dogs moves a sheep by b_i.
-It has moved by b_i + r_i, and, relative to the mean over the flock, that is taken for
+It has moved by b_i + r_i, and that is taken for
 
-    r_i - r = g (a_i(s) - a(s)) + e_i,
+    r_i = g a_i(s) + w + c (x_i - x) + e_i,
 
 with a_i(s) what the force f(r / s) makes of its path, and e_i its noise and the errors of
-observation. What moves all sheep alike, as wind, a slope or a gust, plays no part. For each s of
+observation. x is the mean of all places x_i. Whatever w and c are, they play no part: w is what
+moves all sheep alike, as wind, a slope or a gust, and c how much more closely they keep together,
+or less, than the model has it, which dogs all around a flock do as well. For each s of
 a few, g is found by linear regression with a normal prior, whose evidence tells how likely s is.
 
 What the controller was told, g = s = 1, counts until it is a hundred times less likely than the
@@ -136,9 +138,10 @@ class DogForce:
         usual = herded & (off < self.control.max_speed * (end - start))
         if np.count_nonzero(usual) < 2:
             return
-        wrong, by_dogs = _apart(wrong[usual]), _apart(by_dogs[:, usual])
+        places = before.x[usual]
+        wrong, by_dogs = _shifted(wrong[usual], places), _shifted(by_dogs[:, usual], places)
         # Noise may be stronger than told.
-        seen = float(np.square(wrong).sum()) / (2 * len(wrong) - 2)
+        seen = float(np.square(wrong).sum()) / (2 * len(wrong) - 3)
         variance = max(variance_of_a_sheep(self.crowd, self.control, before, start, end), seen)
         found = wrong + by_dogs[_TOLD]
         self._precision = self._precision + np.square(by_dogs).sum(axis=(1, 2)) / variance
@@ -191,6 +194,10 @@ def _interpolated(seen: Array, ways: Array, steps: int, dt: float) -> Array:
     return ways[after - 1] + part[:, None, None] * (ways[after] - ways[after - 1])
 
 
-def _apart(moved: Array) -> Array:
-    """Return how far sheep (..., N, 2) have moved relative to their mean [m]."""
-    return moved - moved.mean(axis=-2, keepdims=True)
+def _shifted(moved: Array, x: Array) -> Array:
+    """Return what sheep at x (N, 2) have moved (..., N, 2) [m] besides all alike or all apart."""
+    moved = moved - moved.mean(axis=-2, keepdims=True)
+    apart = x - x.mean(axis=0)
+    spread = max(float(np.square(apart).sum()), TINY**2)
+    part = (moved * apart).sum(axis=(-2, -1), keepdims=True) / spread
+    return moved - part * apart

@@ -137,6 +137,16 @@ def test_wind_is_not_taken_for_dogs() -> None:
     assert np.median(found) == 2.0
 
 
+@pytest.mark.parametrize(('true', 'told'), [(0.02, 5e-4), (5e-4, 0.02)])
+def test_another_cohesion_than_told_is_not_taken_for_dogs(true: float, told: float) -> None:
+    """Sheep that attract each other forty times as strongly as told, or as weakly."""
+    truth, belief = (
+        replace(TOLD, sheep=replace(TOLD.sheep, attraction=each)) for each in (true, told)
+    )
+    doubted = [learned(truth, seed, belief, 40)[0] != Felt() for seed in range(8)]
+    assert not sum(doubted)
+
+
 def test_nothing_is_learned_when_others_come_of_what_no_dog_does_and_of_an_hour() -> None:
     rng = np.random.default_rng(0)
     x = 0.15 * rng.standard_normal((20, 2))
