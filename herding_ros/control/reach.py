@@ -16,6 +16,9 @@ _DISTANCES = 0.5 * np.geomspace(1e-4, 1e4, 1601, dtype=np.float64)
 _STRONG, _FELT = 0.8, 0.1
 """Parts of the greatest force: at the standoff, and at the reach."""
 
+_HOLD = 0.5
+"""Most of the reach that a standoff is: a dog at the edge of its reach loses its sheep."""
+
 _OUTRUN = 2.0
 """A sheep that is pushed to this multiple of the dogs' speed is out of hand.
 
@@ -28,7 +31,8 @@ class Reach:
     """The distances [m] at which a dog drives a sheep well, and up to which it is felt at all.
 
     standoff: where its force has fallen to 80 % of the greatest, so that a dog there has a firm
-    hold of its sheep; reach: where it has fallen to 10 %; repels: whether it is driven away.
+    hold of its sheep, and at most half the reach; reach: where it has fallen to 10 %; repels:
+    whether it is driven away.
     """
 
     standoff: float
@@ -68,4 +72,6 @@ def _reach(dog: Potential, friction: float, inertia: bool, max_speed: float) -> 
     def last_at(part: float) -> float:
         return float(distances[np.flatnonzero(force >= part * greatest)[-1]])
 
-    return Reach(last_at(_STRONG), last_at(_FELT), bool(slope[force.argmax()] < 0.0))
+    reach = last_at(_FELT)
+    standoff = min(last_at(_STRONG), _HOLD * reach)
+    return Reach(standoff, reach, bool(slope[force.argmax()] < 0.0))

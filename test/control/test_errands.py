@@ -17,7 +17,7 @@ from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.field import Field
 from herding_ros.model.flock import centre
-from herding_ros.model.potentials import Morse, PowerLaw
+from herding_ros.model.potentials import Morse, PowerLaw, Tabulated
 from herding_ros.model.state import HerdState
 import numpy as np
 import pytest
@@ -46,6 +46,13 @@ def test_reach_of_an_exponential_and_of_a_dog_that_nobody_notices() -> None:
     guided = Reach.of(CROWDS['guided'], 0.1)
     assert guided is not None
     assert not guided.repels
+
+
+def test_a_dog_at_the_standoff_keeps_hold_of_its_sheep_where_a_push_ends_sharply() -> None:
+    r = np.linspace(0.0, 1.0, 51)
+    found = Reach.of(Crowd(dog=Tabulated(tuple(r), tuple(0.01 * (1.0 - r)))), 0.1)
+    assert found.reach > 0.9
+    assert found.standoff < 0.6 * found.reach
 
 
 @pytest.mark.parametrize('order', [1, 2])
