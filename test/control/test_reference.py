@@ -76,6 +76,4 @@ def test_pace_is_in_proportion_to_what_dogs_do_until_they_run_as_fast_as_they_ca
         replace(crowd, friction=2.0 * crowd.friction), reach, ONE, GOAL, 1e3
     ) == pytest.approx(0.5 * found)
     assert pace(crowd, reach, ONE, GOAL, 0.5 * found) == 0.5 * found
-    assert (
-        pace(crowd, reach, ONE, ONE.x[0], 0.05) == 0.05
-    )  # at the goal there is no direction
+    assert pace(crowd, reach, ONE, ONE.x[0], 0.05) == 0.05  # at the goal there is no direction
