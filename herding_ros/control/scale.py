@@ -10,7 +10,7 @@ long, and not 11.3 s.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import TypeVar
 
@@ -51,6 +51,24 @@ class Scale:
     def __str__(self) -> str:
         """Say it in words."""
         return f'lengths x {self.length:g}, times x {self.time:g}'
+
+
+def control_of(crowd: Crowd, max_speed: float, control_period: float) -> Control:
+    """Return the defaults for a crowd, its dogs' speed limit [m/s] and a plant's period [s].
+
+    The times of the window are rounded to multiples of that period, and its time steps are no
+    longer than usual. Raises ValueError for a period that is too short for such a window.
+    """
+    usual = Scale.of(crowd, max_speed).apply(Control())
+    times = {
+        name: max(round(getattr(usual.horizon, name) / control_period), 1) * control_period
+        for name in ('feedback', 'accepted', 'length')
+    }
+    substeps = math.ceil(control_period / usual.horizon.dt - 1e-6)
+    horizon = replace(
+        usual.horizon, control_period=control_period, substeps=max(substeps, 1), **times
+    )
+    return replace(usual, max_speed=max_speed, horizon=horizon)
 
 
 def _power_of_two(number: float) -> float:

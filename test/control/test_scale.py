@@ -17,7 +17,7 @@ from herding_ros.control.parameters import (
     PAPER,
     Sensor,
 )
-from herding_ros.control.scale import Scale
+from herding_ros.control.scale import control_of, Scale
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.potentials import Morse, PowerLaw
 from herding_ros.model.simulation import World
@@ -155,6 +155,25 @@ def test_times_follow_dogs_and_sheep_alike() -> None:
 def test_crowd_that_notices_no_dogs_has_the_scale_of_the_reference() -> None:
     indifferent = Crowd(dog=Morse(0.0, 0.5, 0.0, 2.0))
     assert Scale.of(indifferent, 4.0) == Scale(1.0, 1.0)
+
+
+@pytest.mark.parametrize('control_period', [0.03, 0.07, 0.1, 3.0])
+@pytest.mark.parametrize('max_speed', [1.0, 4.0])
+def test_control_of_a_plant_has_its_period_and_the_scale_of_its_dogs(
+    control_period: float, max_speed: float
+) -> None:
+    crowd = Crowd().rescaled(20.0, 1.0)
+    usual = Scale.of(crowd, max_speed).apply(Control()).horizon
+    control = control_of(crowd, max_speed, control_period)
+    assert control.max_speed == max_speed
+    found = control.horizon
+    assert found.control_period == control_period
+    for name in ('length', 'accepted', 'feedback'):
+        shortest = max(getattr(usual, name), control_period)
+        assert getattr(found, name) == pytest.approx(shortest, abs=0.51 * control_period)
+    assert found.dt <= usual.dt * (1.0 + 1e-6)
+    if control_period == usual.control_period:
+        assert found == usual
 
 
 @pytest.mark.statistics
