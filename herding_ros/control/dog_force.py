@@ -9,8 +9,8 @@ It has moved by b_i + r_i, and that is taken for
 
 with a_i(s) what the force f(r / s) makes of its path, and e_i its noise and the errors of
 observation. x is the mean of all places x_i. Whatever w and c are, they play no part: w is what
-moves all sheep alike, as wind, a slope or a gust, and c how much more closely they keep together,
-or less, than the model has it, which dogs all around a flock do as well. For each s of
+moves all sheep alike, as wind, a slope or a gust, another one in each look, and c how much more
+closely they keep together, or less, than the model has it, the same in all looks. For each s of
 a few, g is found by linear regression with a normal prior, whose evidence tells how likely s is.
 
 What the controller was told, g = s = 1, counts until it is a hundred times less likely than the
@@ -85,15 +85,19 @@ class DogForce:
 
     crowd: Crowd
     control: Control
-    _precision: Array = field(init=False)  # of g, for each range
-    _score: Array = field(init=False)  # times the mean of g
+    # Sums of products over all looks, each with itself and the others: of what dogs felt so far
+    # make (for each range), of the flock's expansion, and of what was found.
+    _dogs: Array = field(init=False)
+    _dogs_found: Array = field(init=False)
+    _dogs_apart: Array = field(init=False)
+    _apart: float = field(default=0.0, init=False)
+    _apart_found: float = field(default=0.0, init=False)
     _can_learn: bool = field(init=False)
     _looks: list[tuple[float, HerdState]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         """Know nothing."""
-        self._precision = np.full(len(_RANGES), _PRIOR**-2.0)
-        self._score = self._precision.copy()
+        self._dogs, self._dogs_found, self._dogs_apart = np.zeros((3, len(_RANGES)))
         self._can_learn = _has_units(self.crowd.dog)
 
     def learn(self, state: HerdState, t: float, herded: NDArray[np.bool_]) -> None:
@@ -113,7 +117,10 @@ class DogForce:
 
     def felt(self) -> Felt:
         """Return how dogs are felt, as far as that is known: as told until that is unlikely."""
-        precision, score = self._precision, self._score
+        # Whatever the expansion c is: what is left of dogs is what it cannot explain.
+        part = self._dogs_apart / max(self._apart, TINY**2)
+        precision = _PRIOR**-2.0 + self._dogs - part * self._dogs_apart
+        score = _PRIOR**-2.0 + self._dogs_found - part * self._apart_found
         evidence = 0.5 * (score**2 / precision - np.log(_PRIOR**2 * precision))
         told = score[_TOLD] - 0.5 * precision[_TOLD]
         if np.logaddexp.reduce(evidence) - math.log(len(evidence)) < told + _CERTAIN:
@@ -138,14 +145,18 @@ class DogForce:
         usual = herded & (off < self.control.max_speed * (end - start))
         if np.count_nonzero(usual) < 2:
             return
-        places = before.x[usual]
-        wrong, by_dogs = _shifted(wrong[usual], places), _shifted(by_dogs[:, usual], places)
-        # Noise may be stronger than told.
-        seen = float(np.square(wrong).sum()) / (2 * len(wrong) - 3)
-        variance = max(variance_of_a_sheep(self.crowd, self.control, before, start, end), seen)
+        wrong, by_dogs, apart = map(_relative, (wrong[usual], by_dogs[:, usual], before.x[usual]))
         found = wrong + by_dogs[_TOLD]
-        self._precision = self._precision + np.square(by_dogs).sum(axis=(1, 2)) / variance
-        self._score = self._score + (by_dogs * found).sum(axis=(1, 2)) / variance
+        # Noise may be stronger than told.
+        square = max(float(np.square(apart).sum()), TINY**2)
+        rest = float(np.square(wrong).sum()) - float((wrong * apart).sum()) ** 2 / square
+        seen = rest / (2 * len(wrong) - 3)
+        variance = max(variance_of_a_sheep(self.crowd, self.control, before, start, end), seen)
+        self._dogs = self._dogs + np.square(by_dogs).sum(axis=(1, 2)) / variance
+        self._dogs_found = self._dogs_found + (by_dogs * found).sum(axis=(1, 2)) / variance
+        self._dogs_apart = self._dogs_apart + (by_dogs * apart).sum(axis=(1, 2)) / variance
+        self._apart += square / variance
+        self._apart_found += float((apart * found).sum()) / variance
 
     def _predicted(self) -> tuple[Array, Array]:
         """Return a_i(s) (ranges, N, 2) [m], and where sheep would be with dogs as told (N, 2) [m].
@@ -194,10 +205,6 @@ def _interpolated(seen: Array, ways: Array, steps: int, dt: float) -> Array:
     return ways[after - 1] + part[:, None, None] * (ways[after] - ways[after - 1])
 
 
-def _shifted(moved: Array, x: Array) -> Array:
-    """Return what sheep at x (N, 2) have moved (..., N, 2) [m] besides all alike or all apart."""
-    moved = moved - moved.mean(axis=-2, keepdims=True)
-    apart = x - x.mean(axis=0)
-    spread = max(float(np.square(apart).sum()), TINY**2)
-    part = (moved * apart).sum(axis=(-2, -1), keepdims=True) / spread
-    return moved - part * apart
+def _relative(moved: Array) -> Array:
+    """Return how far sheep (..., N, 2) have moved, or are, relative to their mean [m]."""
+    return moved - moved.mean(axis=-2, keepdims=True)

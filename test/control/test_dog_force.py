@@ -155,12 +155,12 @@ def test_nothing_is_learned_when_others_come_of_what_no_dog_does_and_of_an_hour(
     scattered = replace(state, x=10.0 * x)
     for elapsed, then in ((5.0, others), (5.0, scattered), (3600.0, state)):
         force = DogForce(TOLD, CONTROL)
-        before = force._score.copy()
+        before = force._dogs_found.copy()
         force.learn(state, 0.0, np.ones(20, dtype=np.bool_))
         force.learn(then, elapsed, np.ones(len(then.x), dtype=np.bool_))
-        np.testing.assert_array_equal(force._score, before)
+        np.testing.assert_array_equal(force._dogs_found, before)
     force.learn(state, 3605.0, np.ones(20, dtype=np.bool_))
-    assert (force._score != before).any()
+    assert (force._dogs_found != before).any()
 
 
 def test_plans_go_by_what_is_learned_until_the_crowd_is_told_anew() -> None:
@@ -213,5 +213,5 @@ def test_sheep_that_are_left_behind_do_not_count() -> None:
         x = after.x + moves_others * ~herded[:, None] * rng.standard_normal((20, 2))
         force.learn(replace(after, x=x), 5.0, herded)
         if not moves_others:
-            score = force._score
-    np.testing.assert_array_equal(force._score, score)
+            score = force._dogs_found
+    np.testing.assert_array_equal(force._dogs_found, score)
