@@ -180,7 +180,7 @@ def _draw_chi(runs: _Runs, figures: Path) -> None:
                 place.plot(instants, np.mean(chi, axis=0), color=colour, label=controller)
         place.set(ylim=(0.0, 1.03), xlabel='time [s]', ylabel='χ')
         place.set_title(name, fontsize=9)
-    legend(axes[0, 0])
+    legend(axes[0, -1])
     save(figure, figures / 'strangers-chi.png')
 
 
