@@ -85,8 +85,8 @@ class DogForce:
 
     crowd: Crowd
     control: Control
-    # Sums of products over all looks, each with itself and the others: of what dogs felt so far
-    # make (for each range), of the flock's expansion, and of what was found.
+    # Sums, over all looks, of products of what dogs make (for each range), an expansion of the
+    # flock, and what was found.
     _dogs: Array = field(init=False)
     _dogs_found: Array = field(init=False)
     _dogs_apart: Array = field(init=False)

@@ -55,7 +55,7 @@ def test_pace_is_the_speed_that_a_sheep_keeps_before_a_dog_at_the_standoff() -> 
 
 
 def test_pace_of_dogs_whose_push_ends_sharply_is_what_they_can_do_to_half_a_flock() -> None:
-    """The standoff is the edge of the push: a dog that stood so far off would move few sheep."""
+    """A dog that stood a standoff off the flock would move few of its sheep."""
     edge, push = 0.15, 0.02
     r = np.linspace(0.0, edge, 31)
     dog = Tabulated(tuple(r), tuple(push * (edge - r)))

@@ -33,8 +33,7 @@ def drivers(x: Array, goal: Array, dogs: int, standoff: float, reach: float) -> 
 
     They are at the standoff from a disc that holds as many sheep as the flock's spread tells, but
     near enough for the middle of the flock to be within reach [m], at the edge of the disc at
-    nearest: where a push ends sharply, the standoff is nearly the reach, and from there on few
-    sheep would feel it.
+    nearest: where a push ends sharply, few sheep would feel it from farther off.
     """
     if not len(x):
         return np.tile(goal, (dogs, 1))
