@@ -65,9 +65,7 @@ def control_of(crowd: Crowd, max_speed: float, control_period: float) -> Control
         for name in ('feedback', 'accepted', 'length')
     }
     substeps = math.ceil(control_period / usual.horizon.dt - 1e-6)
-    horizon = replace(
-        usual.horizon, control_period=control_period, substeps=max(substeps, 1), **times
-    )
+    horizon = replace(usual.horizon, control_period=control_period, substeps=substeps, **times)
     return replace(usual, max_speed=max_speed, horizon=horizon)
 
 
