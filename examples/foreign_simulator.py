@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller herds in a simulator of somebody else: here, sheep on a meadow that slopes.
 
-It is told how dogs are felt, and believes that the meadow is flat.
+Told how dogs are felt, 0.02 exp(-2 r), it believes in flat ground and sheep that go alone.
 """
 
 from herding_ros import Control, Crowd, HerdState, Mapping, Observation, RecedingHorizon, steer
@@ -9,7 +9,7 @@ from herding_ros.model.potentials import Morse
 import numpy as np
 
 GOAL, SLIDE = np.array([0.4, 0.4]), np.array([0.002, 0.0])  # [m], [m/s]
-CROWD = Crowd(dog=Morse(0.01, 0.5, 0.0, 1.0), order=1)  # 0.02 exp(-2 r), at a friction of 0.5
+CROWD = Crowd(Morse(0.0, 1.0, 0.0, 1.0), Morse(0.01, 0.5, 0.0, 1.0), friction=0.5, order=1)
 
 
 class Meadow:

@@ -146,5 +146,5 @@ def test_a_foreign_simulator(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(program.read_text(encoding='utf-8').splitlines()) <= 45
     run = runpy.run_path(str(program))['run']
     assert 'arrived: True' in capsys.readouterr().out
-    assert 20.0 < run.t[-1] < 80.0
-    assert len(run.reports) > 1
+    assert 10.0 < run.t[-1] < 40.0
+    assert len(run.reports) < 1.5 * run.t[-1]  # as its model is wrong, but never by so much

@@ -33,7 +33,7 @@ from .plan import SLACK
 from .schedule import ScheduledPlan
 from .solution import NoTimeFor, Status
 from .solve_report import SolveReport
-from .surprise import is_surprising
+from .surprise import Surprise, surprise
 from .window import Window
 
 _NAMED = 10
@@ -184,6 +184,7 @@ class Pilot:
         self._time = -math.inf
         self._said.clear()
         self._is_as_told = True  # how dogs are felt
+        self._wrong_since = math.inf  # one plan after another
         self._visible: tuple[int, ...] = ()
         self._seen: tuple[int, ...] = ()
         self._command: Array = np.zeros((self.dogs, 2))  # the last one
@@ -367,13 +368,25 @@ class Pilot:
         age = estimate.t - plan.observed
         if age < SLACK:
             return False
-        return (
-            age > horizon.feedback - SLACK
-            or plan.request.goal != self._goal
-            or is_surprising(
-                self._crowd, self._control, plan.window, age, estimate.state, estimate.t
+        off = surprise(self._crowd, self._control, plan.window, age, estimate.state, estimate.t)
+        self._tell_of_wrong_plans(plan, off, estimate.t)
+        return off is not None or age > horizon.feedback - SLACK or plan.request.goal != self._goal
+
+    def _tell_of_wrong_plans(self, plan: ScheduledPlan, off: Surprise | None, t: float) -> None:
+        """Say so when one plan after another meets a surprise, for longer than `accepted`."""
+        if off is None:
+            self._wrong_since = math.inf
+            return
+        self._wrong_since = min(self._wrong_since, t)
+        if plan.observed > self._wrong_since + self._control.horizon.accepted - SLACK:
+            self._say(
+                'warning',
+                'the flock is never where plans expect it, beyond what noise explains: its centre '
+                f'is {off.centre:.2g} m off, its spread {off.spread:.2g} m, in '
+                f'{t - plan.observed:.2g} s. Each time a plan is made anew, which costs time. See '
+                'that crowd.* is how sheep move (fit), and that they keep their ids',
+                cause='the flock is never where plans expect it',
             )
-        )
 
     def _filtered(self, asked: Array, estimate: Observed) -> Array:
         """Return the commands (M, 2) [m/s] for those that a plan asks for; count and say why."""

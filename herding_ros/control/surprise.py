@@ -15,7 +15,7 @@ q / N, and its mean square grows by 2 q (1 - c) (1 - 1 / N), where alignment add
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 import math
 
 from herding_ros.model.crowd import Crowd
@@ -39,13 +39,21 @@ Otherwise each error of a model would be a surprise where there is little noise.
 """
 
 
-def is_surprising(
-    crowd: Crowd, control: Control, window: Window, elapsed: float, state: HerdState, t: float
-) -> bool:
-    """Return whether the flock at t [s] is not where a window predicts it.
+@dataclass(frozen=True)
+class Surprise:
+    """By how much the centre and the spread of a flock are off their prediction [m]."""
 
-    Its centre or its spread has to be off by more than the random force and the errors of two
-    observations explain; the first of these is that of the window, elapsed [s] ago.
+    centre: float
+    spread: float
+
+
+def surprise(
+    crowd: Crowd, control: Control, window: Window, elapsed: float, state: HerdState, t: float
+) -> Surprise | None:
+    """Return by how much the flock at t [s] is off where a window predicts it; None: by chance.
+
+    It is chance if the random force and the errors of two observations explain centre and spread;
+    the first of these is that of the window, elapsed [s] ago.
     """
     which = window.sheep
     if which is None or len(which) != len(state.x):
@@ -60,13 +68,16 @@ def is_surprising(
     untold = _untold(control, control.horizon.feedback)
     common = crowd.common_noise
     k = window.index(t)
-    off = float(np.linalg.norm(centre(state.x) - window.centre[k]))
     own = (1.0 - common) * moved + seen
-    if off > _DEVIATIONS * math.sqrt(common * moved + own / n + untold):
-        return True
     single = (1.0 - common) * apart + seen
     wider = math.sqrt(window.spread[k] ** 2 + 2.0 * single * (1.0 - 1.0 / n))
-    return abs(float(spread(state.x)) - wider) > _DEVIATIONS * math.sqrt(single / n + untold)
+    off = Surprise(
+        float(np.linalg.norm(centre(state.x) - window.centre[k])),
+        abs(float(spread(state.x)) - wider),
+    )
+    if off.centre > _DEVIATIONS * math.sqrt(common * moved + own / n + untold):
+        return off
+    return off if off.spread > _DEVIATIONS * math.sqrt(single / n + untold) else None
 
 
 def _seen(control: Control, elapsed: float) -> float:

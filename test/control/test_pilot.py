@@ -340,6 +340,37 @@ def test_lockstep_improves_at_once_when_surprised_and_once_for_each_surprise() -
     assert [t for t, _ in planner.improved] == pytest.approx([0.2, 0.7, 1.2, 1.7])
 
 
+@pytest.mark.parametrize('keeps_time', [False, True])
+def test_a_model_that_is_wrong_at_every_look_is_told_of_once_but_no_gust_is(
+    keeps_time: bool,
+) -> None:
+    """The plans of this planner always expect the sheep of `seen`."""
+    events: list[str] = []
+    if keeps_time:
+        field = improving()
+        for gust in (0.3, 0.0, 0.3):
+            field.gust = gust
+            field.run(ACCEPTED - 2 * FEEDBACK)
+        field.gust = 0.0
+        field.run(ACCEPTED)
+        # Out of sight, and then elsewhere.
+        field.visible = False
+        field.run(2 * ACCEPTED)
+        field.visible, field.gust = True, 0.3
+        field.run(ACCEPTED - 2 * FEEDBACK)
+        assert not field.said('never where plans expect it')
+        field.run(3 * ACCEPTED)
+        events = field.said('never where plans expect it')
+    else:
+        pilot, _ = lockstep(IMPROVING)
+        for k in range(100):
+            decision = pilot.decide(seen(0.1 * k, gust=0.3 * (k in range(5, 20) or k > 50)))
+            events += [event.text for event in decision.events]
+            assert bool(events) == (k > 51 + round(ACCEPTED / PERIOD))
+    assert len(events) == 1
+    assert 'its centre is 0.3 m off' in events[0]
+
+
 def test_lockstep_plans_a_window_anew_for_another_goal_and_without_a_dog() -> None:
     """Neither is a matter of improving the plan."""
     pilot, planner = lockstep(IMPROVING)

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 from herding_ros.control.parameters import Control, Horizon, Mapping, Sensor
 from herding_ros.control.receding_horizon import RecedingHorizon
-from herding_ros.control.surprise import displacement_variance, is_surprising
+from herding_ros.control.surprise import displacement_variance, surprise
 from herding_ros.control.window import Window
 from herding_ros.model.alignment import Alignment
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
+from herding_ros.model.flock import centre, spread
 from herding_ros.model.noise import increments
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.state import HerdState
@@ -73,9 +74,8 @@ def test_noise_alone_does_not_surprise(
         noise = increments(rng, crowd, sheep, 0.05, 2 * periods)
         end = rollout(crowd, start, dogs, 0.05, 2, noise).at(-1)
         seen = replace(end, x=end.x + rng.normal(0.0, sensor.position_noise, end.x.shape))
-        surprises += is_surprising(
-            crowd, replace(CONTROL, sensor=sensor), window, elapsed, seen, elapsed
-        )
+        control = replace(CONTROL, sensor=sensor)
+        surprises += surprise(crowd, control, window, elapsed, seen, elapsed) is not None
     assert surprises <= 2
 
 
@@ -102,8 +102,12 @@ def test_what_noise_does_not_explain_surprises(
     crowd = Crowd(noise=0.02)
     state, window = planned(crowd, 20, t)
     then = rollout(crowd, state, window.plan.u[:10], 0.05, 2).at(-1)
-    assert not is_surprising(crowd, CONTROL, window, 1.0, then, t + 1.0)
-    assert is_surprising(crowd, CONTROL, window, 1.0, change(then), t + 1.0)
+    assert surprise(crowd, CONTROL, window, 1.0, then, t + 1.0) is None
+    off = surprise(crowd, CONTROL, window, 1.0, change(then), t + 1.0)
+    assert off is not None
+    expected = (np.linalg.norm(centre(change(then).x) - centre(then.x)),
+                abs(spread(change(then).x) - spread(then.x)))  # fmt: skip
+    assert (off.centre, off.spread) == pytest.approx(expected, abs=0.02)
 
 
 def test_a_stronger_noise_and_a_longer_time_explain_more() -> None:
@@ -112,7 +116,8 @@ def test_a_stronger_noise_and_a_longer_time_explain_more() -> None:
     off = replace(state, x=state.x + np.array([0.06, 0.0]))
 
     def surprises(noise: float, elapsed: float) -> bool:
-        return is_surprising(Crowd(noise=noise), CONTROL, window, elapsed, off, 0.0)
+        crowd = Crowd(noise=noise)
+        return surprise(crowd, CONTROL, window, elapsed, off, 0.0) is not None
 
     assert [surprises(0.02, elapsed) for elapsed in (0.1, 1.0, 60.0)] == [True, True, False]
     assert surprises(0.0, 60.0)
@@ -126,7 +131,7 @@ def test_an_error_that_dogs_run_in_no_time_is_no_surprise() -> None:
 
     def surprises(max_speed: float, feedback: float = 1.0) -> bool:
         control = replace(CONTROL, max_speed=max_speed, horizon=Horizon(feedback=feedback))
-        return is_surprising(Crowd(noise=0.0), control, window, 0.1, off, 0.0)
+        return surprise(Crowd(noise=0.0), control, window, 0.1, off, 0.0) is not None
 
     assert [surprises(speed) for speed in (0.02, 0.03, 0.05)] == [True, False, False]
     assert surprises(0.05, feedback=0.4)
