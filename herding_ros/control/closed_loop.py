@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+import logging
 from typing import Protocol
 
 from herding_ros.model.crowd import Crowd
@@ -18,6 +19,10 @@ from .parameters import check_lockstep, Control
 from .pilot import Decision, Observed, Planner
 from .receding_horizon import RecedingHorizon
 from .solve_report import SolveReport
+
+_log = logging.getLogger(__name__)
+
+_LEVELS = {'info': logging.INFO, 'warning': logging.WARNING, 'error': logging.ERROR}
 
 Policy = Callable[[HerdState, float], Array]
 """From the observed state and the time [s] to the dogs' velocities (M, 2) [m/s]."""
@@ -89,11 +94,14 @@ def watched(
     """Return a pilot as a policy that shows each decision and its time [s] to `watch`.
 
     Without velocities the pilot sees only the positions of sheep. Where the pilot of a node counts
-    a plan that could not be made and goes on, this raises the error.
+    a plan that could not be made and goes on, this raises the error. What the pilot has to say is
+    logged (`logging`).
     """
 
     def policy(observed: HerdState, t: float) -> Array:
         decision = pilot.decide(Observed.complete(t, observed, velocities))
+        for event in decision.events:
+            _log.log(_LEVELS[event.level], '%.1f s: %s', t, event.text)
         if decision.error is not None:
             raise decision.error
         watch(decision, t)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from dataclasses import dataclass
 import importlib
+import logging
 import multiprocessing
 import signal
 import time
@@ -59,7 +60,7 @@ def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
     others = set(multiprocessing.active_children())
     # Not forked: a fork copies the locks of threads that it does not copy.
     pool = ProcessPoolExecutor(
-        jobs, multiprocessing.get_context('spawn'), initializer=_ignore_interrupts
+        jobs, multiprocessing.get_context('spawn'), initializer=_begin_worker
     )
     try:
         futures = [pool.submit(work, task, task.key) for task in tasks]
@@ -74,9 +75,11 @@ def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
         raise
 
 
-def _ignore_interrupts() -> None:
-    """Let the parent decide: Ctrl-C in a terminal reaches all processes at once."""
+def _begin_worker() -> None:
+    # Ctrl-C in a terminal reaches all processes at once: the parent decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # What controllers say in a thousand runs would bury the progress.
+    logging.getLogger('herding_ros.control').setLevel(logging.ERROR)
 
 
 def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:

@@ -4,9 +4,17 @@ import dataclasses
 from herding_ros.control.closed_loop import as_policy, closed_loop, ClosedLoopRun, play, steer
 from herding_ros.control.costs.containment import Containment
 from herding_ros.control.lockstep_pilot import LockstepPilot
-from herding_ros.control.parameters import Coarse, Control, Horizon, Mapping, OutOfStepError
+from herding_ros.control.parameters import (
+    Coarse,
+    Control,
+    Horizon,
+    Mapping,
+    OutOfStepError,
+    Weights,
+)
 from herding_ros.control.receding_horizon import RecedingHorizon
 from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import Observation, Simulation, World
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -14,6 +22,15 @@ import pytest
 
 GOAL = np.array([0.5, 0.5])
 SMALL = Control(horizon=Horizon(length=8.0, accepted=4.0), mapping=Mapping(paths=20))
+
+
+def test_what_the_pilot_has_to_say_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    unfelt = Crowd(dog=Morse(0.0, 1.0, 0.0, 1.0))
+    control = dataclasses.replace(SMALL, weights=Weights(dogs=0.0, beyond=0.0))
+    closed_loop(unfelt, World(sheep=3, dogs=2), control, GOAL, 5.0)
+    (record,) = caplog.records
+    assert record.levelname == 'WARNING'
+    assert record.getMessage().startswith('0.0 s: no influence: ')
 
 
 def short_run(world: World) -> ClosedLoopRun:
