@@ -31,7 +31,7 @@ _MOST_NUMBERS = 60
 
 
 def save_trajectories(run: RecordedRun, path: str | os.PathLike[str]) -> None:
-    """Draw the run and save it as PNG."""
+    """Draw the run and save it as PNG, or as PDF if the path ends in .pdf."""
     figure = Figure(figsize=(11.0, 6.4), layout='constrained')
     grid = figure.add_gridspec(3, 2, width_ratios=[1.75, 1.0])
     _draw_map(figure.add_subplot(grid[:, 0]), run)
