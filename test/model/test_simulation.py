@@ -6,6 +6,7 @@ from herding_ros.model.dynamics import rollout
 from herding_ros.model.field import Field
 from herding_ros.model.flock import Arrival
 from herding_ros.model.motion import MOTIONS, Unicycle
+from herding_ros.model.potentials import Harmonic
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array
@@ -45,6 +46,20 @@ def test_a_wall_that_nobody_reaches_changes_no_bit(kind: str) -> None:
         ends.append(sim.state)
     for name in ('x', 'v', 'd'):
         np.testing.assert_array_equal(*(getattr(end, name) for end in ends))
+
+
+def test_a_seed_is_one_noise_for_any_commands_dogs_and_strength() -> None:
+    """Of sheep without forces, so that all that moves them is the noise."""
+    alone, walks = Harmonic(0.0), []
+    for noise, dogs, speed in ((0.01, 2, 0.0), (0.03, 5, 0.02)):
+        crowd = Crowd(sheep=alone, dog=alone, noise=noise)
+        sim = Simulation(crowd, dataclasses.replace(WORLD, dogs=dogs), GOAL)
+        start = sim.state.x
+        walks.append((start, (played(sim, np.full((20, dogs, 2), speed)).state.x - start) / noise))
+    (start, walk), (other_start, other_walk) = walks
+    np.testing.assert_array_equal(start, other_start)
+    np.testing.assert_allclose(walk, other_walk, rtol=1e-9, atol=1e-12)
+    assert np.abs(walk).max() > 0.0
 
 
 def test_looking_at_the_herd_does_not_move_it() -> None:

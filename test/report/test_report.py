@@ -203,6 +203,13 @@ def test_picture_shows_sheep_dogs_and_goal(run: RecordedRun, tmp_path: Path) -> 
         assert is_coloured(picture[:, : width // 2], kind) > 100
 
 
+def test_picture_as_pdf_is_one(run: RecordedRun, tmp_path: Path) -> None:
+    save_trajectories(run, tmp_path / 'trajectories.pdf')
+    found = (tmp_path / 'trajectories.pdf').read_bytes()
+    assert found.startswith(b'%PDF-')
+    assert found.rstrip().endswith(b'%%EOF')
+
+
 @pytest.mark.parametrize(
     'change',
     [
