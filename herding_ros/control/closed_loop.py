@@ -32,7 +32,7 @@ class Plant(Protocol):
     """A herd that moves: `Simulation`, or anyone's simulator.
 
     control_period: time for which a command holds [s]; state: the truth; dog_velocities: (M, 2)
-    [m/s] in the last control period.
+    [m/s] in the last control period. Sheep and dogs stay as many as they are, in one order.
     """
 
     state: HerdState
@@ -47,7 +47,7 @@ class Plant(Protocol):
         """Whether the herd is where it should be."""
 
     def observe(self) -> Observation:
-        """Return what the sensors see."""
+        """Return what the sensors see of all sheep and dogs."""
 
     def advance(self, u: Array) -> None:
         """Move on by one control period under the commands u (M, 2) [m/s]."""
@@ -114,21 +114,56 @@ def watched(
 def play(plant: Plant, policy: Policy, time_limit: float, stop: bool = True) -> ClosedLoopRun:
     """Herd by a policy for time_limit [s], with stop only until the flock arrives.
 
-    All policies see the same observations of the same flock under the same noise.
+    All policies see the same observations of the same flock under the same noise. What is kept,
+    and what the policy sees, are copies. Raises ValueError for a plant that is none, see `Plant`,
+    and for a time limit below 0.
     """
+    if not time_limit >= 0.0:
+        raise ValueError(f'time_limit must be at least 0 s, got {time_limit!r}')
+    if not plant.control_period >= _SHORTEST:
+        raise ValueError(
+            f'Plant.control_period must be a time above 0 s, got {plant.control_period!r}'
+        )
     period = round(plant.control_period * 1e9)
-    t, x, d, u = [0.0], [plant.state.x], [plant.state.d], []
-    home = 0 if plant.arrived else None
+    t, states, u = [0.0], [_copied('Plant.state', plant.state, plant.state)], [_velocities(plant)]
+    home = 0 if _has_arrived(plant) else None
     while not (stop and home is not None) and t[-1] < time_limit - 0.5e-9 * period:
-        plant.advance(policy(plant.observe().state, t[-1]))
-        u.append(plant.dog_velocities)
-        t.append(len(u) * period * 1e-9)
-        x.append(plant.state.x)
-        d.append(plant.state.d)
-        if home is None and plant.arrived:
-            home = len(u)
-    velocities = np.array(u).reshape(-1, *plant.dog_velocities.shape)
-    return ClosedLoopRun(np.array(t), np.array(x), np.array(d), velocities, home)
+        observed = _copied('Plant.observe().state', plant.observe().state, states[0])
+        plant.advance(policy(observed, t[-1]))
+        states.append(_copied('Plant.state', plant.state, states[0]))
+        u.append(_velocities(plant))
+        t.append((len(u) - 1) * period * 1e-9)
+        if home is None and _has_arrived(plant):
+            home = len(u) - 1
+    x, d = np.array([state.x for state in states]), np.array([state.d for state in states])
+    return ClosedLoopRun(np.array(t), x, d, np.array(u)[1:], home)
+
+
+_SHORTEST = 1e-9
+"""Time is counted in nanoseconds [s]."""
+
+
+def _copied(name: str, state: HerdState, first: HerdState) -> HerdState:
+    """Return a copy of a plant's herd: a simulator may write into its arrays again."""
+    if (len(state.x), len(state.d)) != (len(first.x), len(first.d)):
+        raise ValueError(
+            f'{name} must have as many sheep and dogs as at the start, {len(first.x)} and '
+            f'{len(first.d)}, got {len(state.x)} and {len(state.d)}'
+        )
+    return replace(state)
+
+
+def _velocities(plant: Plant) -> Array:
+    """Return a copy of the velocities of a plant's dogs."""
+    return finite('Plant.dog_velocities', plant.dog_velocities, (len(plant.state.d), 2))
+
+
+def _has_arrived(plant: Plant) -> bool:
+    """Return what a plant says: a method that is no property would be taken for a yes."""
+    arrived = plant.arrived
+    if not isinstance(arrived, bool | np.bool_):
+        raise ValueError(f'Plant.arrived must be True or False, got {arrived!r}')
+    return bool(arrived)
 
 
 def steer(plant: Plant, planner: Planner, time_limit: float) -> ClosedLoopRun:
@@ -138,7 +173,7 @@ def steer(plant: Plant, planner: Planner, time_limit: float) -> ClosedLoopRun:
     """
     check_lockstep(planner.control.horizon.control_period, plant.control_period)
     reports: list[SolveReport] = []
-    pilot = LockstepPilot(planner, len(plant.dog_velocities))
+    pilot = LockstepPilot(planner, len(plant.state.d))
     run = play(plant, as_policy(pilot, reports), time_limit)
     return replace(run, reports=tuple(reports))
 

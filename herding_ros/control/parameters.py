@@ -155,7 +155,7 @@ class OutOfStepError(ValueError):
 
 def check_lockstep(control_period: float, world_period: float) -> None:
     """Raise OutOfStepError unless a command lasts as long as the world waits for one [s]."""
-    if abs(control_period / world_period - 1.0) > 1e-6:
+    if not abs(control_period - world_period) <= 1e-6 * world_period:
         raise OutOfStepError(
             'horizon.control_period of the controller must be dt * substeps of the sim in '
             f'lockstep, {world_period:g} s, got {control_period:g} s'

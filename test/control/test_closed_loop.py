@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
+import re
 
 from herding_ros.control.closed_loop import as_policy, closed_loop, ClosedLoopRun, play, steer
 from herding_ros.control.costs.containment import Containment
@@ -239,3 +240,88 @@ def test_a_planner_steers_any_plant_whose_period_it_knows() -> None:
     assert np.abs(run.u).max() > 0.0
     with pytest.raises(OutOfStepError, match=r'dt \* substeps of the sim in lockstep, 0.5 s'):
         steer(Pushed(), RecedingHorizon(Crowd(), SMALL, GOAL, 0), 4.0)
+
+
+class InPlace(Pushed):
+    """The same simulator, which writes into its arrays; its sensors see these very arrays."""
+
+    def advance(self, u: Array) -> None:
+        self.state.d[:] += self.control_period * u
+        self.state.x[:] = self.state.d + AHEAD
+        self.state.v[:] = self.dog_velocities[:] = u
+
+
+def test_a_plant_may_write_into_its_arrays() -> None:
+    horizon = Horizon(length=4.0, accepted=2.0, control_period=0.5)
+    control = Control(horizon=horizon, mapping=Mapping(max_iterations=0))
+    runs = [
+        steer(plant, RecedingHorizon(Crowd(), control, GOAL, 0), 4.0)
+        for plant in (Pushed(), InPlace())
+    ]
+    for name in ('t', 'x', 'd', 'u'):
+        np.testing.assert_array_equal(*(getattr(run, name) for run in runs), err_msg=name)
+    assert np.ptp(runs[1].d[:, 0, 0]) > 0.0
+
+
+def test_a_policy_cannot_move_the_herd() -> None:
+    def policy(observed: HerdState, t: float) -> Array:
+        observed.x[:] -= observed.x.mean(axis=0)
+        return np.array([[1.0, 0.0]])
+
+    run = play(Pushed(), policy, 1.0)
+    np.testing.assert_allclose(run.x[:, 0, 0], run.t + 1.0)
+
+
+def herd(sheep: int, dogs: int) -> HerdState:
+    return HerdState(np.zeros((sheep, 2)), np.zeros((sheep, 2)), np.ones((dogs, 2)))
+
+
+OTHERS = 'must have as many sheep and dogs as at the start, 1 and 1, got'
+FAULTS_OF_PLANTS = [
+    ({'control_period': 0.0}, 'Plant.control_period must be a time above 0 s, got 0.0'),
+    ({'control_period': -0.5}, 'Plant.control_period must be a time above 0 s, got -0.5'),
+    ({'control_period': np.nan}, 'Plant.control_period must be a time above 0 s, got nan'),
+    ({'arrived': lambda self: False}, 'Plant.arrived must be True or False, got <bound method'),
+    ({'arrived': np.array([False, False])}, 'Plant.arrived must be True or False, got array'),
+    (
+        {'observe': lambda self: Observation(herd(2, 1), np.zeros((1, 2)))},
+        f'Plant.observe().state {OTHERS} 2 and 1',
+    ),
+    (
+        {'observe': lambda self: Observation(herd(1, 2), np.zeros((2, 2)))},
+        f'Plant.observe().state {OTHERS} 1 and 2',
+    ),
+]
+
+
+@pytest.mark.parametrize(('broken', 'words'), FAULTS_OF_PLANTS)
+def test_what_is_no_plant_is_refused(broken: dict[str, object], words: str) -> None:
+    plant = type('Broken', (Pushed,), broken)()
+    with pytest.raises(ValueError, match=f'^{re.escape(words)}'):
+        play(plant, lambda observed, t: np.zeros((1, 2)), 1.0)
+
+
+VELOCITIES = 'Plant.dog_velocities must'
+BROKEN_ON_THE_WAY = [
+    ('dog_velocities', np.zeros((2, 1)), f'{VELOCITIES} have shape (1, 2), got (2, 1)'),
+    ('dog_velocities', np.zeros(2), f'{VELOCITIES} have shape (1, 2), got (2,)'),
+    ('dog_velocities', [[np.nan, 0.0]], f'{VELOCITIES} be finite'),
+    ('state', herd(2, 1), f'Plant.state {OTHERS} 2 and 1'),
+]
+
+
+@pytest.mark.parametrize(('name', 'value', 'words'), BROKEN_ON_THE_WAY)
+def test_a_plant_that_breaks_on_its_way_is_refused(name: str, value: object, words: str) -> None:
+    class Breaking(Pushed):
+        def advance(self, u: Array) -> None:
+            super().advance(u)
+            setattr(self, name, value)
+
+    with pytest.raises(ValueError, match=f'^{re.escape(words)}'):
+        play(Breaking(), lambda observed, t: np.zeros((1, 2)), 1.0)
+
+
+@pytest.mark.parametrize('limit', [-1.0, np.nan])
+def test_a_time_limit_that_is_none_is_refused(limit: float) -> None:
+    with pytest.raises(ValueError, match=r'^time_limit must be at least 0 s, got (-1.0|nan)$'):
+        play(Pushed(), lambda observed, t: np.zeros((1, 2)), limit)
