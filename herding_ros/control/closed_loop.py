@@ -193,6 +193,6 @@ def closed_loop(
     those that control.weights ask for. Raises ValueError if it counts on commands of another
     length than those of the world.
     """
-    simulation = Simulation(crowd, world, finite('goal', goal, (2,)))
+    simulation = Simulation(crowd, world, goal)
     planner = RecedingHorizon(crowd, control, simulation.goal, world.seed, costs)
     return steer(simulation, planner, time_limit)

@@ -199,7 +199,7 @@ class Pilot:
 
     def move_goal(self, goal: Array) -> bool:
         """Herd to another goal (2,) [m]; return whether it is another one and asks for a plan."""
-        before, self._goal = self._goal, _as_pair(finite('goal', goal, (2,)))
+        before, self._goal = self._goal, _as_pair(goal)
         return self._goal != before
 
     def adjust(self, crowd: Crowd, control: Control) -> None:
@@ -499,7 +499,8 @@ def dog_name(m: int) -> str:
 
 
 def _as_pair(goal: Array) -> tuple[float, float]:
-    return float(goal[0]), float(goal[1])
+    x, y = finite('goal', goal, (2,))
+    return float(x), float(y)
 
 
 Clock = Callable[[], float]

@@ -15,7 +15,7 @@ from .flock import Arrival, arrived, centre, spread, without_strays
 from .motion import Holonomic, MotionModel
 from .parameters import Parameters, quantity, TINY
 from .scenario import initial_herd, MOST_DOGS, MOST_SHEEP, Start
-from .state import Array, HerdState, Trajectory
+from .state import Array, finite, HerdState, Trajectory
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,8 @@ class Simulation:
         """Start from a herd, (M, 2) positions of dogs, by default that of `World.start`.
 
         For that, goal (2,) [m] decides the side that dogs start on; dogs that attract start ahead
-        of the flock. Raises ValueError if the herd has not as many sheep and dogs as the world.
+        of the flock. Raises ValueError if the herd has not as many sheep and dogs as the world, or
+        more of a dog than its position.
         """
         self.crowd = crowd
         self.world = world
@@ -92,7 +93,7 @@ class Simulation:
         if herd is None:
             places = world.start
             attract = bool(crowd.dog.derivative(np.array([places.dog_radius])) > 0.0)
-            herd = initial_herd(world.sheep, world.dogs, goal, flock, attract, places)
+            herd = initial_herd(world.sheep, world.dogs, self.goal, flock, attract, places)
             to_flock = places.centre - herd.d
         else:
             for name, points in (('sheep', herd.x), ('dogs', herd.d)):
@@ -101,6 +102,7 @@ class Simulation:
                         f'{name} must be as many as the start has, {len(points)}, '
                         f'got {getattr(world, name)}'
                     )
+            finite('dogs d of the start', herd.d, (None, 2))
             to_flock = centre(herd.x) - herd.d
         facing = np.arctan2(to_flock[:, 1], to_flock[:, 0])
         dogs = world.motion.state(herd.d, facing, np.zeros_like(herd.d))
@@ -120,6 +122,15 @@ class Simulation:
         self._note_who_is_inside()
         field_of(crowd).check_clear(self.state, world.bodies.radius)
         self._process, self._sensor = flock.spawn(2)
+
+    @property
+    def goal(self) -> Array:
+        """Where the flock should go (2,) [m]; may be set."""
+        return self._goal
+
+    @goal.setter
+    def goal(self, goal: Array) -> None:
+        self._goal = finite('goal', goal, (2,))
 
     @property
     def control_period(self) -> float:
@@ -164,11 +175,13 @@ class Simulation:
         """Move on by one control period under commands u (M, 2) [m/s], once they take effect.
 
         Commands beyond the speed limit are projected onto it. Raises ValueError, and leaves the
-        state as it was, if forces or noise would take the herd beyond all numbers.
+        state as it was, for commands of another shape or NaN, and if forces or noise would take
+        the herd beyond all numbers.
         """
         from .noise import increments  # a program's help needs no Numba
 
         world = self.world
+        u = finite('commands u', u, (world.dogs, 2))
         u, *under_way = *self._under_way, world.motion.project(u, world.max_speed)
         noise = increments(self._process, self.crowd, world.sheep, world.dt, world.substeps)
         state = self._moved(u, noise)

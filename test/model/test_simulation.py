@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
+import re
+from typing import Any
 
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.dynamics import rollout
@@ -9,7 +11,7 @@ from herding_ros.model.motion import MOTIONS, Unicycle
 from herding_ros.model.potentials import Harmonic
 from herding_ros.model.scenario import initial_herd
 from herding_ros.model.simulation import Simulation, World
-from herding_ros.model.state import Array
+from herding_ros.model.state import Array, HerdState
 import numpy as np
 import pytest
 
@@ -212,3 +214,40 @@ def test_a_delay_without_end_is_refused() -> None:
         ValueError, match=r'World\.delay must be at most 1000 control periods, 100 s'
     ):
         dataclasses.replace(WORLD, delay=1e6)
+
+
+WIDE = HerdState(np.zeros((9, 2)), np.zeros((9, 2)), np.ones((2, 3)))
+BAD_COMMANDS = [
+    (None, 'commands u must have shape (2, 2), got ()'),
+    (0.01, 'commands u must have shape (2, 2), got ()'),
+    (np.zeros((3, 2)), 'commands u must have shape (2, 2), got (3, 2)'),
+    (np.zeros((1, 2, 2)), 'commands u must have shape (2, 2), got (1, 2, 2)'),
+    ([[0.0, np.nan], [0.0, 0.0]], 'commands u must be finite'),
+]
+
+
+@pytest.mark.parametrize('delay', [0.0, 0.3])
+@pytest.mark.parametrize(('u', 'words'), BAD_COMMANDS)
+def test_bad_commands_are_refused_when_they_are_given(u: object, words: str, delay: float) -> None:
+    simulation = Simulation(Crowd(), dataclasses.replace(WORLD, delay=delay), GOAL)
+    before = simulation.state
+    with pytest.raises(ValueError, match=f'^{re.escape(words)}'):
+        simulation.advance(u)  # type: ignore[arg-type]
+    assert simulation.state is before
+    played(simulation, np.zeros((5, 2, 2)))  # nothing of it is left
+
+
+@pytest.mark.parametrize('goal', [[0.5], [0.5, np.nan], [0.5, 0.5, 0.0], 'there', None])
+def test_bad_goals_are_refused(goal: Any) -> None:
+    with pytest.raises(ValueError, match=r'^goal must '):
+        Simulation(Crowd(), WORLD, goal)
+    simulation = Simulation(Crowd(), WORLD, GOAL)
+    with pytest.raises(ValueError, match=r'^goal must '):
+        simulation.goal = goal
+    np.testing.assert_array_equal(simulation.goal, GOAL)
+
+
+def test_a_start_has_positions_of_dogs_and_no_more() -> None:
+    words = re.escape('dogs d of the start must have shape (any, 2), got (2, 3)')
+    with pytest.raises(ValueError, match=f'^{words}$'):
+        Simulation(Crowd(), WORLD, GOAL, WIDE)
