@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 import math
+from numbers import Real
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -71,7 +72,7 @@ class Field:
             raise ValueError('Field.goal must be a point or at least 3 corners, got 2 points')
         for name, low in (('hold', 0.0), ('range', 1e-6), ('strength', 0.0)):
             value = getattr(self, name)
-            number = isinstance(value, int | float) and not isinstance(value, bool)
+            number = isinstance(value, Real) and not isinstance(value, bool)
             if not (number and low <= value <= LARGE):
                 raise ValueError(
                     f'Field.{name} must be a number of at least {low:g}, got {value!r}'
@@ -267,8 +268,8 @@ class Field:
         return cls(goal=goal, **given)
 
 
-def _sequence(name: str, value: object) -> Sequence[Any]:
-    if isinstance(value, str) or not isinstance(value, Sequence):
+def _sequence(name: str, value: object) -> Sequence[Any] | NDArray[Any]:
+    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
         raise ValueError(f'{name} must be a list, got {value!r}')
     return value
 

@@ -72,8 +72,10 @@ class Parameters:
                 object.__setattr__(self, field.name, check(name, value, field))
                 continue
             kind = _types(type(self))[field.name]  # type: ignore[arg-type]  # mypy: its instances
-            if not isinstance(value, kind):
-                raise ValueError(f'{name} must be a {kind.__name__}, got {value!r}')
+            # A class has the methods that a protocol asks for, too.
+            if isinstance(value, type) or not isinstance(value, kind):
+                article = 'an' if kind.__name__[0] in 'AEIOU' else 'a'
+                raise ValueError(f'{name} must be {article} {kind.__name__}, got {value!r}')
 
     def walk(self, prefix: str = '') -> Iterator[Entry]:
         """Yield every value with its dotted name after the prefix, those of nested sets too."""
@@ -153,6 +155,8 @@ def check(name: str, value: Any, field: dataclasses.Field[Any]) -> Any:
 
 def _convert(value: Any, like: Any) -> Any:
     """Return value with the type of `like`; None if that would change its meaning."""
+    if isinstance(value, np.generic):
+        value = value.item()  # a scalar of Python
     if isinstance(like, tuple):
         if _are_strings(like):
             is_strings = isinstance(value, list | tuple) and all(type(v) is str for v in value)

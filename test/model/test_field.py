@@ -235,6 +235,23 @@ def test_files_that_are_no_fields_are_refused(content: Any, message: str, tmp_pa
     assert str(file) in str(refused.value)
 
 
+def test_arrays_and_numbers_of_numpy_make_the_same_field() -> None:
+    square, other = [[-1, -1], [1, -1], [0, 1]], [[0.3, -0.2], [0.3, 0.4]]
+    lists = Field([square, other], [square], [[2, 3, 0.5]], other[:1], 2.0, 1.0)  # type: ignore
+    arrays = Field(
+        fences=[np.array(square), np.array(other)],  # type: ignore[arg-type]
+        obstacles=np.array([square]),  # type: ignore[arg-type]
+        discs=np.array([[2, 3, 0.5]]),  # type: ignore[arg-type]
+        goal=np.array(other[:1]),  # type: ignore[arg-type]
+        hold=np.int64(2),
+        range=np.float32(1.0),  # type: ignore[arg-type]
+    )
+    assert arrays == lists
+    assert hash(arrays) == hash(lists)
+    with pytest.raises(ValueError, match=r'^Field\.fences\[0\] must be a list of at least 2'):
+        Field(fences=np.zeros((1, 2, 3)))  # type: ignore[arg-type]
+
+
 def test_missing_fields_are_refused_with_the_names_of_those_there_are() -> None:
     with pytest.raises(ValueError, match=r'corner.*pen.*got no_such_field'):
         read_field('no_such_field')

@@ -6,6 +6,9 @@ import re
 from typing import Any
 
 from herding_ros.model.crowd import Crowd, CROWDS
+from herding_ros.model.external_form import NoForce
+from herding_ros.model.motion import Unicycle
+from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import Parameters, quantity
 from herding_ros.model.potentials import Morse
 from herding_ros.model.simulation import World
@@ -36,6 +39,10 @@ REFUSED = [
     ('count', 0, 'at least 1'),
     ('count', 1.0, 'an integer of at least 1'),
     ('count', True, 'an integer of at least 1'),
+    ('count', np.float64(1.0), 'an integer of at least 1'),
+    ('count', np.True_, 'an integer of at least 1'),
+    ('number', np.True_, 'a number from 0 to 2'),
+    ('flag', np.int64(1), 'true or false'),
     ('flag', 1, 'true or false'),
     ('text', 1, 'a string'),
     ('choice', 'c', 'a or b'),
@@ -71,6 +78,25 @@ def test_bounds_are_inclusive_and_integers_pass_as_numbers(
 
 
 @pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('number', np.float32(0.5)),
+        ('number', np.int64(2)),
+        ('count', np.int64(3)),
+        ('count', np.uint8(3)),
+        ('flag', np.False_),
+        ('text', np.str_('b')),
+        ('choice', np.str_('b')),
+        ('pair', np.arange(2)),
+    ],
+)
+def test_scalars_of_numpy_pass_as_those_of_python(name: str, value: Any) -> None:
+    found = getattr(Sample(**{name: value}), name)
+    assert type(found) is type(getattr(Sample(), name))
+    np.testing.assert_array_equal(found, value)
+
+
+@pytest.mark.parametrize(
     ('make', 'named'),
     [
         (lambda: Morse(repulsion_length=0.0), 'Morse.repulsion_length is 0.0'),
@@ -92,6 +118,21 @@ def test_every_set_of_parameters_is_validated(make: Callable[[], object], named:
 def test_groups_within_parameters_are_validated() -> None:
     with pytest.raises(ValueError, match=r'^Crowd\.sheep must be a Potential, got 3$'):
         Crowd(sheep=3)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r'^World\.arrival must be an Arrival, got 0\.1$'):
+        World(arrival=0.1)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ('make', 'name', 'kind'),
+    [
+        (lambda: World(motion=Unicycle), 'World.motion', 'a MotionModel'),  # type: ignore
+        (lambda: Crowd(noise_field=NoiseField), 'Crowd.noise_field', 'a NoiseFunction'),
+        (lambda: Crowd(external=NoForce), 'Crowd.external', 'an ExternalForce'),  # type: ignore
+    ],
+)
+def test_a_class_is_none_of_its_objects(make: Callable[[], object], name: str, kind: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(name)} must be {kind}, got <class '.*'>$"):
+        make()
 
 
 EVERYWHERE_ALIKE = Crowd(noise_field=lambda t, x: 1.0)  # a field without parameters
