@@ -13,11 +13,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 import itertools
+from numbers import Integral
 
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.expectation import Expectation, ExpectedCentre, Noise
 from herding_ros.model.flock import centre, spread
 from herding_ros.model.mean_field import mean_field
+from herding_ros.model.motion import check_states
 from herding_ros.model.sampling import ESTIMATORS, FineModel
 from herding_ros.model.state import Array, finite, HerdState, Trajectory
 import numpy as np
@@ -25,6 +27,7 @@ from numpy.typing import NDArray
 
 from .blur import blurred
 from .coarse_model import CoarseModel, RememberingModel
+from .costs.checked import Checked
 from .costs.control_effort import ControlEffort
 from .costs.cost import Cost
 from .dog_force import DogForce, Felt
@@ -95,6 +98,7 @@ class RecedingHorizon:
     The noise is drawn from the seed and shared by all evaluations of the fine model (common
     random numbers), in this and all later windows. How many paths each window takes of it, its
     first evaluation settles. `costs` are added to those that the weights ask for.
+    Raises ValueError for a goal that is not (2,) [m], a seed below 0, and costs that are no list.
     """
 
     crowd: Crowd
@@ -114,8 +118,12 @@ class RecedingHorizon:
     _noise_sheep: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        """Check the goal."""
+        """Check the goal, the seed and that there is a list of costs."""
         self.goal = finite('goal', self.goal, (2,))
+        if not isinstance(self.seed, Integral) or self.seed < 0:
+            raise ValueError(f'seed must be an integer of at least 0, got {self.seed!r}')
+        if not isinstance(self.costs, Sequence):
+            raise ValueError(f'costs must be a list of costs, got {self.costs!r}')
         self._forget()
 
     @property
@@ -169,6 +177,7 @@ class RecedingHorizon:
 
     def coarse_model(self, state: HerdState) -> CoarseModel:
         """Return the model without noise: the flock itself, or the limit of a large one."""
+        check_states(self.control.motion, state.d)
         crowd, horizon = self._felt_crowd, self.control.horizon
         markers = self.control.coarse.markers
         # Of less than two sheep to each blob the limit is no simpler, and worse.
@@ -324,7 +333,7 @@ class RecedingHorizon:
             model = coarse.on_grid(substeps)
             times = model.dt * np.arange(horizon.intervals * substeps + 1, dtype=np.float64)
             drifted = self._drift.path(self.crowd, times)
-            costs = [*task.costs(times, defect + drifted), *self.costs]
+            costs = [*task.costs(times, defect + drifted), *map(Checked, self.costs)]
             objective = Objective([*costs, control_effort])
             value = partial(_value, model, objective, self._admissible)
             values = {name: value(u) for name, u in candidates.items()}

@@ -2,6 +2,8 @@
 from collections.abc import Sequence
 import dataclasses
 from functools import partial
+import itertools
+from typing import Any
 
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.control.costs.control_effort import ControlEffort
@@ -30,10 +32,11 @@ from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import rollout
 from herding_ros.model.expectation import mean_centre
 from herding_ros.model.flock import Allowance, centre, spread
-from herding_ros.model.motion import Holonomic
+from herding_ros.model.motion import Holonomic, MOTIONS
 from herding_ros.model.noise import noise_paths, NoisePaths
 from herding_ros.model.sampling import FineModel
 from herding_ros.model.scenario import initial_herd
+from herding_ros.model.simulation import Simulation, World
 from herding_ros.model.state import Array, HerdState
 import numpy as np
 import pytest
@@ -525,3 +528,33 @@ def test_sheep_that_may_be_left_are_not_fetched() -> None:
     ):
         np.testing.assert_array_equal(found.plan.u, expected.plan.u)
         np.testing.assert_array_equal(found.centre, expected.centre)
+
+
+EFFORT = ControlEffort(1.0)
+
+
+@pytest.mark.parametrize(
+    ('seed', 'costs', 'words'),
+    [
+        (0, EFFORT, 'costs must be a list of costs, got ControlEffort'),
+        (0, iter([EFFORT]), 'costs must be a list of costs, got <list_iterator'),
+        ([EFFORT], (), r'seed must be an integer of at least 0, got \[ControlEffort'),
+        (None, (), 'seed must be an integer of at least 0, got None'),
+        (-1, (), 'seed must be an integer of at least 0, got -1'),
+    ],
+)
+def test_costs_are_a_list_and_no_seed(seed: Any, costs: Any, words: str) -> None:
+    """Those in place of the seed, and those of an iterator after the first plan, were lost."""
+    with pytest.raises(ValueError, match=f'^{words}'):
+        RecedingHorizon(Crowd(), Control(), GOAL, seed, costs)
+
+
+@pytest.mark.parametrize(('one', 'other'), itertools.permutations(MOTIONS, 2))
+def test_dogs_of_another_motion_are_refused(one: str, other: str) -> None:
+    seen = Simulation(Crowd(), World(sheep=5, dogs=3, motion=MOTIONS[one]), GOAL).observe().state
+    control = dataclasses.replace(SMALL, motion=MOTIONS[other])
+    kind = type(MOTIONS[other]).__name__
+    with pytest.raises(
+        ValueError, match=rf'^dogs d must be states of {kind}, shape \(3, .\), got'
+    ):
+        RecedingHorizon(Crowd(), control, GOAL).solve(seen, 0.0)

@@ -9,6 +9,7 @@ import math
 from herding_ros.model.state import Array, Trajectory
 import numpy as np
 
+from .checked import Checked
 from .cost import Cost
 
 _STEPS = 1e-3 * 2.0 ** -np.arange(6.0)
@@ -22,8 +23,10 @@ def taylor_orders(
 
     One each for z = x, d and u, for h around 1e-3 in a random direction w (standard deviation
     1 m, and 1 m/s for u). An order is 2 or more if the derivative is right, and 1 if not;
-    infinite if nothing but round-off remains, as where C does not depend on z.
+    infinite if nothing but round-off remains, as where C does not depend on z. Raises ValueError
+    for values and derivatives that are NaN or of another shape.
     """
+    cost = Checked(cost)
     value, by = cost.value_and_derivatives(trajectory, u)
     interval = trajectory.dt * (len(trajectory.xs) - 1) / len(u)
     wx = np.zeros_like(trajectory.xs)

@@ -3,7 +3,7 @@
 
 from .accelerating import Accelerating
 from .holonomic import Holonomic
-from .motion_model import MotionModel, Obedient
+from .motion_model import check_states, MotionModel, Obedient
 from .unicycle import steered_ahead, Unicycle
 
 MOTIONS: dict[str, Obedient] = {
@@ -20,5 +20,6 @@ __all__ = [
     'MotionModel',
     'Obedient',
     'Unicycle',
+    'check_states',
     'steered_ahead',
 ]

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 from herding_ros.model.state import Array
+import numpy as np
 
 
 @runtime_checkable
@@ -68,3 +69,14 @@ class Obedient(MotionModel, Protocol):
         They are so far apart [m] or farther; a command of at most max_speed [m/s] holds for
         `seconds`. Of what both get nearer to each other by that it is a bound.
         """
+
+
+def check_states(motion: MotionModel, d: Array) -> None:
+    """Raise ValueError unless d (M, ...) has the shape (M, S) of dogs that move like this."""
+    still = np.zeros((len(d), 2))
+    shape = motion.state(still, still[:, 0], still).shape
+    if d.shape != shape:
+        raise ValueError(
+            f'dogs d must be states of {type(motion).__name__}, shape {shape}, got {d.shape}: '
+            'world and controller must have motions of the same states'
+        )
