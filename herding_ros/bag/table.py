@@ -57,7 +57,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
 
 
 def _rows(path: Path) -> Iterator[tuple[float, str, list[float]]]:
-    with path.open(newline='', encoding='utf-8') as file:
+    with path.open(newline='', encoding='utf-8-sig') as file:  # spreadsheets begin with a mark
         numbered = [
             (number, line)
             for number, line in enumerate(file, 1)
@@ -68,11 +68,16 @@ def _rows(path: Path) -> Iterator[tuple[float, str, list[float]]]:
     if missing:
         raise ValueError(
             f'{path} must begin with a line that names the columns {", ".join(COLUMNS)}, '
-            f'and vx, vy where velocities were measured; it lacks {", ".join(missing)}'
+            f'and vx, vy where velocities were measured; it lacks {", ".join(missing)}; '
+            f'it has {", ".join(reader.fieldnames or ["nothing"])}'
         )
     known = set()
     for (number, _), row in zip(numbered[1:], reader, strict=False):
         where = f'{path}, line {number}'
+        if None in row:  # DictReader puts there what is beyond the last column
+            raise ValueError(f'{where}: there must be no more values than columns, got {row}')
+        if not row['name']:
+            raise ValueError(f'{where}: there must be a name, got {row}')
         try:
             time, *values = (float(row.get(key) or 'nan') for key in _NUMBERS)
         except ValueError:

@@ -188,6 +188,8 @@ def fit(
     in the start stay 0. step: longest time step of predictions [s].
     Raises ValueError without anything to fit, for unknown names, and leads beyond a recording.
     """
+    if not recordings:
+        raise ValueError('there must be a recording to fit to')
     known = _known_noise(recordings, position_noise, velocity_noise)
     model = _Model(start, replace(_USUAL, **known))
     fixed = {f'sensor.{name}' for name in known}
@@ -238,6 +240,8 @@ _LEAST_NOISE = 1e-6
 
 def check_names(hold: Collection[str], entries: Sequence[Entry]) -> None:
     """Raise ValueError for a name to hold that no parameter has, nor begins with."""
+    if isinstance(hold, str):  # a collection of its letters
+        raise ValueError(f'hold must be a list of names, got {hold!r}')
     for name in hold:
         if not any(_is_named(entry.name, (name,)) for entry in entries):
             raise ValueError(

@@ -100,8 +100,9 @@ class Filter:
 def _in_observations(recording: Recording, leads: Sequence[float]) -> NDArray[np.int64]:
     """Return leads [s] as numbers of observations, in order."""
     between = float(np.median(np.diff(recording.times)))
-    counts = np.unique([max(round(lead / between), 1) for lead in leads])
-    if not len(counts) or min(leads) < 0.0 or counts[-1] >= len(recording.times):
+    good = [lead for lead in leads if 0.0 <= lead <= recording.duration]
+    counts = np.unique([max(round(lead / between), 1) for lead in good])
+    if not good or len(good) < len(leads) or counts[-1] >= len(recording.times):
         raise ValueError(
             f'{recording.name}: leads must be at least 0 and shorter than the recording, '
             f'{recording.duration:g} s, got {list(leads)}'

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 import os
 from pathlib import Path
 from typing import Any
@@ -41,11 +42,13 @@ class Recording:
         """Check shapes, order of the times, and that there is something to see."""
         times, d = finite('times', self.times, (None,)), finite('dogs d', self.d, (None, None, 2))
         x, v = (np.array(each, dtype=np.float64) for each in (self.x, self.v))
-        if len(times) < _LEAST or not (np.diff(times) > 0.0).all():
-            raise ValueError(
-                f'{self.name}: times must be at least {_LEAST}, each after the one before, '
-                f'got {len(times)}'
-            )
+        if len(times) < _LEAST:
+            raise ValueError(f'{self.name}: times must be at least {_LEAST}, got {len(times)}')
+        for before, after in pairwise(times):
+            if not after > before:
+                raise ValueError(
+                    f'{self.name}: times must increase, got {after:g} after {before:g}'
+                )
         if x.ndim != 3 or x.shape != v.shape or x.shape[::2] != (len(times), 2):
             raise ValueError(
                 f'{self.name}: x and v must have shape ({len(times)}, sheep, 2), '
@@ -53,8 +56,8 @@ class Recording:
             )
         if len(d) != len(times):
             raise ValueError(f'{self.name}: d must have {len(times)} instants, got {len(d)}')
-        if not np.isfinite(x).all(axis=2).any(axis=0).all():
-            raise ValueError(f'{self.name}: each sheep must be seen at least once')
+        if not x.shape[1] or not np.isfinite(x).all(axis=2).any(axis=0).all():
+            raise ValueError(f'{self.name}: there must be sheep, each seen at least once')
         for name, value in (('times', times), ('d', d), ('x', x), ('v', v)):
             object.__setattr__(self, name, value)
 

@@ -153,6 +153,8 @@ def test_held_parameters_stay(reference: Recording) -> None:
     assert 'crowd.sheep.repulsion' in fitted.held
     with pytest.raises(ValueError, match=r'hold must be among crowd\.sheep.* got crowd\.wool'):
         fit([reference], Crowd(), hold=['crowd.wool'])
+    with pytest.raises(ValueError, match=r"hold must be a list of names, got 'crowd\.sheep\.'"):
+        fit([reference], Crowd(), hold='crowd.sheep.')
     with pytest.raises(ValueError, match='there must be a parameter to fit'):
         fit([reference], Crowd(), hold=['crowd.'])
 
@@ -160,6 +162,17 @@ def test_held_parameters_stay(reference: Recording) -> None:
 def test_leads_beyond_the_recording_are_refused(reference: Recording) -> None:
     with pytest.raises(ValueError, match=r'leads must be .* shorter than the recording, 29\.9 s'):
         fit([reference], Crowd(), leads=[1.0, 31.0])
+
+
+@pytest.mark.parametrize('lead', [-1.0, np.nan, np.inf])
+def test_leads_that_are_no_times_are_refused(reference: Recording, lead: float) -> None:
+    with pytest.raises(ValueError, match=rf'leads must be at least 0 .*, got \[1\.0, {lead}\]$'):
+        fit([reference], Crowd(), leads=[1.0, lead])
+
+
+def test_nothing_to_fit_to_is_refused() -> None:
+    with pytest.raises(ValueError, match=r'^there must be a recording to fit to$'):
+        fit([], Crowd())
 
 
 @pytest.mark.statistics

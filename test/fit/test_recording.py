@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from herding_ros.fit.recording import from_bag, from_table, read
+from herding_ros.fit.recording import from_bag, from_table, read, Recording
 import numpy as np
 import pytest
 
@@ -43,12 +43,42 @@ def test_a_table_becomes_arrays(tmp_path: Path) -> None:
         (TABLE.replace('olly', 'ogly').replace('mogly', 'dog_2').replace('dogly', 'dog_3'),
          'there must be sheep'),
         (TABLE.replace('0.5,dolly', '1.0,dolly'), 'line 5: dolly must be there once at 1 s'),
+        (TABLE.replace('0.5,dolly', '0.5,'), 'line 4: there must be a name'),
+        (TABLE.replace('1.5,2.0', '1,5,2,0'), 'line 4: there must be no more values than columns'),
+        (TABLE.replace(',', ';'), 'it lacks time, name, x, y; it has time;name;x;y;vx;vy'),
     ],
 )  # fmt: skip
 def test_bad_tables_are_refused(tmp_path: Path, table: str, refusal: str) -> None:
     (tmp_path / 'a.csv').write_text(table)
     with pytest.raises(ValueError, match=refusal):
         from_table(tmp_path / 'a.csv')
+
+
+def test_a_table_may_begin_with_the_mark_of_a_spreadsheet(tmp_path: Path) -> None:
+    """Excel's `CSV UTF-8` does."""
+    (tmp_path / 'a.csv').write_text(TABLE)
+    (tmp_path / 'b.csv').write_text(TABLE, encoding='utf-8-sig')
+    plain, marked = (from_table(tmp_path / name) for name in ('a.csv', 'b.csv'))
+    np.testing.assert_array_equal(plain.x, marked.x)
+    np.testing.assert_array_equal(plain.d, marked.d)
+
+
+TIMES, PLACES = np.arange(4.0), np.zeros((4, 2, 2))
+
+
+@pytest.mark.parametrize(
+    ('times', 'x', 'words'),
+    [
+        (TIMES[:2], PLACES[:2], 'times must be at least 3, got 2'),
+        ([0.0, 1.0, 0.5, 2.0], PLACES, 'times must increase, got 0.5 after 1'),
+        ([0.0, 1.0, 1.0, 2.0], PLACES, 'times must increase, got 1 after 1'),
+        (TIMES, PLACES[:, :0], 'there must be sheep, each seen at least once'),
+        (TIMES, [[[np.nan, 0.0], [0.0, 0.0]]] * 4, 'there must be sheep, each seen at least once'),
+    ],
+)
+def test_arrays_that_are_no_recording_are_refused(times: Any, x: Any, words: str) -> None:
+    with pytest.raises(ValueError, match=f'^recording: {words}$'):
+        Recording(times, x, np.zeros_like(x), np.zeros((len(times), 1, 2)))
 
 
 def test_of_a_bag_the_observations_are_read(tmp_path: Path, run_recorder: Any) -> None:
