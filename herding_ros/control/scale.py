@@ -57,8 +57,12 @@ def control_of(crowd: Crowd, max_speed: float, control_period: float) -> Control
     """Return the defaults for a crowd, its dogs' speed limit [m/s] and a plant's period [s].
 
     The times of the window are rounded to multiples of that period, and its time steps are no
-    longer than usual. Raises ValueError for a period that is too short for such a window.
+    longer than usual. Raises ValueError for a speed or a period that is not above 0, and for a
+    period that is too short for such a window.
     """
+    for name, value in (('max_speed', max_speed), ('control_period', control_period)):
+        if not 0.0 < value < math.inf:
+            raise ValueError(f'{name} must be a number above 0, got {value!r}')
     usual = Scale.of(crowd, max_speed).apply(Control())
     times = {
         name: max(round(getattr(usual.horizon, name) / control_period), 1) * control_period

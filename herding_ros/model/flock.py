@@ -45,8 +45,10 @@ class Arrival(Allowance):
 
 
 def centre(x: Array) -> Array:
-    """Centre of mass (..., 2) [m] of sheep at x (..., N, 2) [m]."""
-    return x.mean(axis=-2)
+    """Centre of mass (..., 2) [m] of sheep at x (..., N, 2) [m]; ValueError for other shapes."""
+    if np.ndim(x) < 2 or np.shape(x)[-1] != 2:
+        raise ValueError(f'sheep x must have shape (..., N, 2), got {np.shape(x)}')
+    return np.mean(x, axis=-2)
 
 
 def spread(x: Array) -> Array:

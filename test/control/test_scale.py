@@ -176,6 +176,16 @@ def test_control_of_a_plant_has_its_period_and_the_scale_of_its_dogs(
         assert found == usual
 
 
+@pytest.mark.parametrize('value', [0.0, -0.1, np.nan, np.inf])
+def test_speeds_and_periods_that_are_none_are_refused(value: float) -> None:
+    with pytest.raises(ValueError, match=rf'^max_speed must be a number above 0, got {value}$'):
+        control_of(Crowd(), value, 0.1)
+    with pytest.raises(
+        ValueError, match=rf'^control_period must be a number above 0, got {value}$'
+    ):
+        control_of(Crowd(), 0.05, value)
+
+
 @pytest.mark.statistics
 def test_field_is_herded_with_nothing_but_crowd_speed_and_goal() -> None:
     """And in less time than with a window of the reference scenario, which took 42 s."""

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
+import re
 
 from herding_ros.model.flock import (
     Arrival,
@@ -34,6 +35,21 @@ def test_whole_trajectories_are_measured_at_once() -> None:
     x = np.stack([flock(0.1, np.array([0.0, 0.0])), flock(0.2, np.array([3.0, 4.0]))])
     np.testing.assert_allclose(distance(x, np.zeros(2)), [0.0, 5.0], atol=1e-15)
     np.testing.assert_allclose(spread(x), [0.1, 0.2], rtol=1e-14)
+
+
+def test_lists_are_measured_like_arrays() -> None:
+    x = flock(0.3, HERE)
+    assert spread(x.tolist()) == spread(x)  # type: ignore[arg-type]
+    assert distance(x.tolist(), [0.0, 0.0]) == distance(x, np.zeros(2))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize('shape', [(2, 5), (7, 2, 8), (5, 3), (2,), ()])
+def test_coordinates_have_to_come_last(shape: tuple[int, ...]) -> None:
+    """Those of `Trajectory.xs` do not: its spread would be a number like any other."""
+    words = re.escape(f'sheep x must have shape (..., N, 2), got {shape}')
+    for measure in (centre, spread, lambda x: distance(x, HERE)):
+        with pytest.raises(ValueError, match=f'^{words}$'):
+            measure(np.ones(shape))
 
 
 @given(n=st.integers(1, 30), seed=st.integers(0, 2**32))
