@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+import logging
 import os
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ from herding_ros.bag.recorded_run import RecordedRun
 from herding_ros.bag.table import read_table
 from herding_ros.model.state import Array, finite
 import numpy as np
+
+_log = logging.getLogger(__name__)
 
 _LEAST = 3
 """A recording has at least so many instants."""
@@ -70,10 +73,15 @@ class Recording:
 def from_bag(path: str | os.PathLike[str], namespace: str | None = None) -> Recording:
     """Return what was observed in a bag; the truth, which a simulation records too, is not used.
 
-    The noise of the sensors is that of our sim, if its parameters are in the bag. Raises what
-    `read_run` raises, and ValueError for a bag without dogs.
+    The noise of the sensors is that of our sim, if its parameters are in the bag. What was left
+    out, and why, is logged (`logging`). Raises what `read_run` raises, and ValueError for a bag
+    without dogs.
     """
     run = read_run(path, namespace, observed=True)
+    for note in run.notes:
+        _log.warning('%s: %s', path, note)
+    if not run.dogs:
+        raise ValueError(f'{path} has no dogs: none has messages on {run.namespace}/dog_<i>/odom')
     sensors = _sensors(run)
     return Recording(
         run.times, run.x, run.v, without_gaps(run.times, run.d), str(path),
@@ -86,7 +94,10 @@ def _sensors(run: RecordedRun) -> Mapping[str, Any]:
 
 
 def without_gaps(times: Array, d: Array) -> Array:
-    """Return positions (T, M, 2) of dogs, straight lines where one was silent (NaN)."""
+    """Return positions (T, M, 2) of dogs, straight lines where one was silent (NaN) in between.
+
+    Before it is seen first, and after it is seen last, it stands.
+    """
     out = np.array(d, dtype=np.float64)
     for m in range(out.shape[1]):
         for c in range(2):

@@ -106,3 +106,28 @@ def test_truth_alone_is_no_observation(tmp_path: Path, run_recorder: Any) -> Non
             recorder.odometry('/dog_1/odom', k * 10**8, np.ones(2))
     with pytest.raises(ValueError, match='no observed sheep: /sheep must have messages'):
         from_bag(tmp_path / 'bag')
+
+
+def test_what_of_a_bag_is_not_in_the_recording_is_logged(
+    tmp_path: Path, run_recorder: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    with run_recorder(tmp_path / 'bag') as recorder:
+        for k in range(40):
+            recorder.log_ns = k * 10**8
+            recorder.sheep('/sheep', (k % 20) * 10**8, np.ones((3, 2)), np.ones((3, 2)))
+            recorder.odometry('/dog_1/odom', (k % 20) * 10**8, np.ones(2))
+    assert len(from_bag(tmp_path / 'bag').times) == 20
+    said = [each.getMessage() for each in caplog.records if each.levelname == 'WARNING']
+    words = (
+        'time was set back 1 time in all topics, as by a reset: only the run after that is read'
+    )
+    assert f'{tmp_path / "bag"}: {words}' in said
+
+
+def test_a_bag_without_dogs_is_refused(tmp_path: Path, run_recorder: Any) -> None:
+    """As such a table is: what sheep do for dogs would be taken for their own."""
+    with run_recorder(tmp_path / 'bag') as recorder:
+        for k in range(5):
+            recorder.sheep('/sheep', k * 10**8, np.ones((3, 2)), np.ones((3, 2)))
+    with pytest.raises(ValueError, match=r'bag has no dogs: none has messages on /dog_<i>/odom$'):
+        from_bag(tmp_path / 'bag')
