@@ -31,6 +31,7 @@ import numpy as np
 
 from . import fast_forces, kernels
 from .crowd import Crowd
+from .external_form import Form
 from .motion import Holonomic, MotionModel
 from .noise import is_uniform, random_force
 from .potentials.forms import divided
@@ -38,11 +39,19 @@ from .state import Array, finite, HerdState, Trajectory
 
 
 def physics(crowd: Crowd, n: int, dt: float) -> kernels.Physics:
-    """Return the constants that the kernels need for n sheep and steps of dt [s]."""
+    """Return the constants that the kernels need for n sheep and steps of dt [s].
+
+    Raises ValueError unless dt is above 0 and the crowd's forces have forms.
+    """
     if not (np.isfinite(dt) and dt > 0.0):
         raise ValueError(f'time step dt must be a number above 0, got {dt!r}')
     sheep = divided(crowd.sheep.kernel_form(), n)
     dog, external = crowd.dog.kernel_form(), crowd.external.kernel_form()
+    if not isinstance(external, Form) and not (isinstance(external, tuple) and not external):
+        raise ValueError(
+            f'{type(crowd.external).__name__}.kernel_form must return what `register` made, '
+            f'got {external!r}'
+        )
     alignment = crowd.alignment.kernel_form(n)
     return kernels.Physics(
         n, float(dt), sheep, dog, crowd.friction, external, crowd.order, alignment

@@ -2,6 +2,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
+from typing import Any
 
 from herding_ros.control.coarse_model import CoarseModel
 from herding_ros.model import fast_forces, kernels
@@ -160,6 +161,20 @@ def test_the_simulated_flock_feels_it() -> None:
             simulation.advance(np.zeros((2, 2)))
         ends.append(simulation.state.x)
     assert np.abs(ends[0] - ends[1]).max() > 0.05
+
+
+@pytest.mark.parametrize('returned', [None, (0.02, 5.0), np.zeros(2)])
+def test_what_is_no_form_is_refused(returned: object) -> None:
+    """Kernels would take it for no force at all."""
+
+    class Forgetful:
+        def kernel_form(self) -> Any:
+            return returned
+
+    with pytest.raises(
+        ValueError, match=r'^Forgetful\.kernel_form must return what `register` made, got '
+    ):
+        physics(Crowd(external=Forgetful()), 3, 0.1)
 
 
 def test_calls_of_kernels_ask_no_python_for_the_type_of_it(
