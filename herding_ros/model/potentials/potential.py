@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from functools import cache
 import math
 from typing import TYPE_CHECKING
@@ -19,14 +19,15 @@ _NEAREST, _FARTHEST = 5e-7, 1e6
 """A table covers distances between these multiples of the extent; P'/r is constant outside."""
 
 
-class Potential(Parameters):
+class Potential(Parameters, ABC):
     """A radially symmetric potential P(r) [m^2/s^2] of two at a distance r [m].
 
-    Positive slopes attract, negative ones repel. A new one is a frozen dataclass
-    with these three methods, each for arrays of any shape, r > 0. The paper asks for bounded
-    and locally Lipschitz first and second derivatives. A potential that ends at some distance
-    has a `reach`, where its second derivative may jump. Its numbers are quantities with units, so
-    that it can be `rescaled`, and its lengths tell its `extent`.
+    Positive slopes attract, negative ones repel. A new one is a frozen dataclass with these three
+    methods, each from an array of any shape, r > 0, to one of the same shape. Its fields must be
+    hashable: tuples, no arrays. The paper asks for bounded and locally Lipschitz first and second
+    derivatives. A potential that ends at some distance has a `reach`, where its second derivative
+    may jump. Its numbers are quantities with units, so that it can be `rescaled`, and its lengths
+    tell its `extent`. Raises TypeError if one of the methods is missing.
     """
 
     @abstractmethod
@@ -60,7 +61,8 @@ class Potential(Parameters):
     def kernel_form(self) -> PotentialForm:
         """Return the form for the kernels: a table, unless a potential overrides it.
 
-        Raises ValueError if a derivative is not finite everywhere in its range.
+        Raises ValueError if a derivative is not finite everywhere in its range, and for a reach
+        that is not above 0.
         """
         return _table(self)
 
@@ -80,6 +82,9 @@ def _table(potential: Potential) -> Table:
     """
     from . import forms  # a program's help needs no Numba
 
+    if not potential.reach > 0.0:
+        name = f'{type(potential).__name__}.reach'
+        raise ValueError(f'{name} must be above 0, got {potential.reach!r}')
     ends = math.isfinite(potential.reach)
     unit = potential.reach if ends else potential.extent
     near, far = potential.nearest / unit, _FARTHEST

@@ -158,3 +158,26 @@ def test_potential_that_is_not_finite_is_refused() -> None:
 
     with pytest.raises(ValueError, match=r'Coulomb\.derivative must be finite .*, got nan at'):
         forces(Crowd(sheep=Coulomb()), np.eye(2), np.ones((1, 2)))
+
+
+def test_a_potential_without_one_of_its_methods_is_refused_when_it_is_made() -> None:
+    @dataclass(frozen=True)
+    class Misspelt(Potential):
+        def value(self, r: Array) -> Array:
+            return -r
+
+        def derivative(self, r: Array) -> Array:
+            return np.full_like(r, -1.0)
+
+        def second_derivate(self, r: Array) -> Array:
+            return np.zeros_like(r)
+
+    with pytest.raises(TypeError, match=r"'?second_derivative'?$"):
+        Misspelt()  # type: ignore[abstract]
+
+
+@pytest.mark.parametrize('reach', [0.0, -1.0, np.nan])
+def test_a_reach_that_is_none_is_refused(reach: float) -> None:
+    kind = type('Short', (Formula,), {'reach': reach})
+    with pytest.raises(ValueError, match=rf'^Short\.reach must be above 0, got {reach}$'):
+        forces(Crowd(dog=kind()), np.eye(2), np.ones((1, 2)))
