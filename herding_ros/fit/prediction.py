@@ -21,6 +21,9 @@ from .recording import Recording
 _A_SECOND = 1.0
 """Time over which the speed of sheep is looked at before anything is known of them [s]."""
 
+_MOST_NUMBERS = 200_000_000
+"""Coordinates of dogs at all steps: more would take memory by the gigabyte."""
+
 
 @dataclass(frozen=True)
 class Innovations:
@@ -40,7 +43,8 @@ class Filter:
 
     leads: times to predict ahead [s], 0 the next observation; step: longest time step of the
     prediction [s]; stride: number of observations from one start of predictions to the next.
-    Raises ValueError for a lead that is longer than the recording.
+    Raises ValueError for a lead that is longer than the recording, and for a gap that takes too
+    many steps.
     """
 
     def __init__(self, recording: Recording, leads: Sequence[float], step: float) -> None:
@@ -52,9 +56,15 @@ class Filter:
         # Predictions that begin at neighbouring instants say nearly the same.
         self.stride = int(self._leads[0])
         between = np.diff(recording.times)
-        steps = max(int(np.ceil(between.max() / step - TINY)), 1)
-        self._dt = between / steps
         x, v, d = recording.x, recording.v, recording.d
+        steps = max(int(np.ceil(between.max() / step - TINY)), 1)
+        if steps * max(d.size, len(d)) > _MOST_NUMBERS:
+            raise ValueError(
+                f'{recording.name}: times must be in s, with no gap of {between.max():.3g} s: at '
+                f'a step of {step:g} s it takes too many steps, as each interval then does. Make '
+                'two recordings of it, or the step longer'
+            )
+        self._dt = between / steps
         self.n = n = x.shape[1]
         self._seen = np.full((len(x), 2, 2, lanes(n)), np.nan)
         self._seen[:, 0, :, :n], self._seen[:, 1, :, :n] = x.swapaxes(1, 2), v.swapaxes(1, 2)

@@ -57,6 +57,14 @@ class Recording:
                 f'{self.name}: x and v must have shape ({len(times)}, sheep, 2), '
                 f'got {x.shape} and {v.shape}'
             )
+        for name, seen in (('x', x), ('v', v)):
+            whole = np.isfinite(seen).all(axis=2) | np.isnan(seen).all(axis=2)
+            if not whole.all():
+                k, i = np.argwhere(~whole)[0]
+                raise ValueError(
+                    f'{self.name}: {name} must be finite, or NaN in both coordinates where it was '
+                    f'not seen, got {seen[k, i]} at {times[k]:g} s'
+                )
         if len(d) != len(times):
             raise ValueError(f'{self.name}: d must have {len(times)} instants, got {len(d)}')
         if not x.shape[1] or not np.isfinite(x).all(axis=2).any(axis=0).all():
@@ -83,8 +91,9 @@ def from_bag(path: str | os.PathLike[str], namespace: str | None = None) -> Reco
     if not run.dogs:
         raise ValueError(f'{path} has no dogs: none has messages on {run.namespace}/dog_<i>/odom')
     sensors = _sensors(run)
+    v = np.where(np.isfinite(run.v).all(axis=2, keepdims=True), run.v, np.nan)
     return Recording(
-        run.times, run.x, run.v, without_gaps(run.times, run.d), str(path),
+        run.times, run.x, v, without_gaps(run.times, run.d), str(path),
         sensors.get('position_noise'), sensors.get('velocity_noise'),
     )  # fmt: skip
 

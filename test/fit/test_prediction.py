@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from herding_ros.control.parameters import Sensor
 from herding_ros.fit.estimate import _Likelihood, _Model
 from herding_ros.fit.forecast import forecast
@@ -153,3 +155,11 @@ def test_residuals_are_recorded_less_predicted() -> None:
     turned = np.isclose(at_once.t, 3.0)
     np.testing.assert_allclose(at_once.off[turned], [0.0, 0.05], atol=2e-3)
     np.testing.assert_array_equal(at_once.standardised, at_once.off / at_once.deviation)
+
+
+def test_times_in_another_unit_take_no_memory() -> None:
+    """All intervals have as many steps as the longest."""
+    seen = random_recording(0)
+    words = r'times must be in s, with no gap of 2\.\d+e\+20 s: at a step of 0\.05 s it'
+    with pytest.raises(ValueError, match=f'^recording: {words}'):
+        Filter(replace(seen, times=1e21 * seen.times), [0.0], 0.05)

@@ -73,12 +73,27 @@ TIMES, PLACES = np.arange(4.0), np.zeros((4, 2, 2))
         ([0.0, 1.0, 0.5, 2.0], PLACES, 'times must increase, got 0.5 after 1'),
         ([0.0, 1.0, 1.0, 2.0], PLACES, 'times must increase, got 1 after 1'),
         (TIMES, PLACES[:, :0], 'there must be sheep, each seen at least once'),
-        (TIMES, [[[np.nan, 0.0], [0.0, 0.0]]] * 4, 'there must be sheep, each seen at least once'),
+        (
+            TIMES,
+            [[[np.nan, np.nan], [0.0, 0.0]]] * 4,
+            'there must be sheep, each seen at least once',
+        ),
     ],
 )
 def test_arrays_that_are_no_recording_are_refused(times: Any, x: Any, words: str) -> None:
     with pytest.raises(ValueError, match=f'^recording: {words}$'):
         Recording(times, x, np.zeros_like(x), np.zeros((len(times), 1, 2)))
+
+
+@pytest.mark.parametrize('what', ['x', 'v'])
+@pytest.mark.parametrize('seen', [(np.nan, 0.0), (0.0, np.nan), (np.inf, 0.0), (np.inf, np.inf)])
+def test_half_a_place_is_none(what: str, seen: tuple[float, float]) -> None:
+    """The filter looks at the first coordinate only: a fit went on, to other values."""
+    arrays = {'x': PLACES.copy(), 'v': PLACES.copy()}
+    arrays[what][2, 1] = seen
+    words = f'recording: {what} must be finite, or NaN in both coordinates where it was not seen'
+    with pytest.raises(ValueError, match=f'^{words}, got .* at 2 s$'):
+        Recording(TIMES, **arrays, d=np.zeros((4, 1, 2)))
 
 
 def test_of_a_bag_the_observations_are_read(tmp_path: Path, run_recorder: Any) -> None:
@@ -131,3 +146,14 @@ def test_a_bag_without_dogs_is_refused(tmp_path: Path, run_recorder: Any) -> Non
             recorder.sheep('/sheep', k * 10**8, np.ones((3, 2)), np.ones((3, 2)))
     with pytest.raises(ValueError, match=r'bag has no dogs: none has messages on /dog_<i>/odom$'):
         from_bag(tmp_path / 'bag')
+
+
+def test_half_a_velocity_in_a_bag_does_not_count(tmp_path: Path, run_recorder: Any) -> None:
+    v = np.array([[0.5, np.nan], [np.inf, 0.5], [0.25, 0.5]])
+    with run_recorder(tmp_path / 'bag') as recorder:
+        for k in range(5):
+            recorder.sheep('/sheep', k * 10**8, np.ones((3, 2)), v)
+            recorder.odometry('/dog_1/odom', k * 10**8, np.ones(2))
+    found = from_bag(tmp_path / 'bag').v[0]
+    assert np.isnan(found[:2]).all()
+    assert found[2].tolist() == [0.25, 0.5]
