@@ -58,7 +58,14 @@ class CoarseModel:
         if source.shape[1] < ds.shape[1]:
             rest = (len(ds), ds.shape[1] - source.shape[1], *source.shape[2:])
             source = np.concatenate([source, np.zeros(rest)], axis=1)
-        return self.motion.transpose(ds, u, source, self.dt, self.substeps)
+        out = self.motion.transpose(ds, u, source, self.dt, self.substeps)
+        shape = (*u.shape, *source.shape[3:])
+        if out.shape != shape:
+            raise ValueError(
+                f'{type(self.motion).__name__}.transpose must return shape {shape}, '
+                f'got {out.shape}'
+            )
+        return out
 
     def inner(self, a: Array, b: Array) -> float:
         """L2(0, T) inner product of two controls."""

@@ -151,7 +151,12 @@ def rollout(
     rollout starts at t [s], which counts when the noise depends on time.
     """
     u = check_control(u, len(state.d))
-    return follow(crowd, state, motion.rollout(state.d, u, dt, substeps), dt, noise, t)
+    ds, shape = motion.rollout(state.d, u, dt, substeps), (len(u) * substeps + 1, *state.d.T.shape)
+    if ds.shape != shape:
+        raise ValueError(
+            f'{type(motion).__name__}.rollout must return shape {shape}, got {ds.shape}'
+        )
+    return follow(crowd, state, ds, dt, noise, t)
 
 
 def follow(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable
 import dataclasses
+import re
 
 from herding_ros.control.coarse_model import CoarseModel, RememberingModel
 from herding_ros.control.costs.control_effort import ControlEffort
@@ -10,7 +11,7 @@ from herding_ros.control.parameters import Weights
 from herding_ros.model.alignment import Alignment
 from herding_ros.model.crowd import Crowd, CROWDS
 from herding_ros.model.mean_field import mean_field
-from herding_ros.model.motion import Accelerating, MotionModel, Unicycle
+from herding_ros.model.motion import Accelerating, Holonomic, MotionModel, Unicycle
 from herding_ros.model.potentials import PowerLaw
 from herding_ros.model.state import Array, HerdState
 import numpy as np
@@ -271,3 +272,31 @@ def test_transposed_sensitivity_is_the_adjoint(
     linear, rng = coarse.centre_sensitivity(u, 4), np.random.default_rng(1)
     du, e = rng.normal(size=u.shape), rng.normal(size=20)
     assert coarse.inner(du, linear.transposed(e)) == pytest.approx(linear.times(du) @ e, rel=1e-12)
+
+
+class Short(Holonomic):
+    """Sheep would meet each place of a dog a step too early, and not the last one."""
+
+    def rollout(self, d: Array, u: Array, dt: float, substeps: int) -> Array:
+        return super().rollout(d, u, dt, substeps)[1:]
+
+
+class Broadcast(Holonomic):
+    def transpose(self, ds: Array, u: Array, source: Array, dt: float, substeps: int) -> Array:
+        return super().transpose(ds, u, source, dt, substeps)[0]
+
+
+@pytest.mark.parametrize(
+    ('motion', 'words'),
+    [
+        (Short(), 'Short.rollout must return shape (41, 2, 2), got (40, 2, 2)'),
+        (Broadcast(), 'Broadcast.transpose must return shape (20, 2, 2), got (2, 2)'),
+    ],
+)
+def test_what_a_motion_returns_has_its_shape(
+    random_herd: HerdMaker, motion: MotionModel, words: str
+) -> None:
+    model = CoarseModel(Crowd(), random_herd(5, 2), 0.05, 2, motion)
+    cost = Objective([Leash(1.0, np.zeros((41, 2)))])
+    with pytest.raises(ValueError, match=f'^{re.escape(words)}$'):
+        model.value_and_gradient(cost, np.zeros((20, 2, 2)))
