@@ -196,8 +196,23 @@ class WithoutUnits(Potential):
         return self.strength * np.exp(-r)
 
 
-def test_of_a_potential_without_units_nothing_is_learned_and_plans_go_on() -> None:
-    told = replace(TOLD, dog=WithoutUnits())
+class WithoutNumbers(Potential):
+    """A user's potential whose number stands in its methods."""
+
+    def value(self, r: Array) -> Array:
+        return 0.02 * np.exp(-r)
+
+    def derivative(self, r: Array) -> Array:
+        return -0.02 * np.exp(-r)
+
+    def second_derivative(self, r: Array) -> Array:
+        return 0.02 * np.exp(-r)
+
+
+@pytest.mark.parametrize('dog', [WithoutUnits(), WithoutNumbers()])
+def test_of_a_potential_without_units_nothing_is_learned_and_plans_go_on(dog: Potential) -> None:
+    """What was learned could not be told to the plans, which were said to go by it."""
+    told = replace(TOLD, dog=dog)
     assert set(learned(replace(TOLD, dog=WithoutUnits(0.1)), 0, told, seconds=40)[1]) == {Felt()}
 
 

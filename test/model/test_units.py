@@ -11,6 +11,7 @@ from herding_ros.model.noise_field import NoiseField
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.potentials import Harmonic, Mollified, Morse, Potential, PowerLaw, Tabulated
 from herding_ros.model.simulation import World
+from herding_ros.model.state import Array
 from herding_ros.model.units import factor
 import numpy as np
 import pytest
@@ -112,6 +113,23 @@ def test_users_function_cannot_be_rescaled() -> None:
     crowd = Crowd(noise_field=lambda t, x: 1.0)
     with pytest.raises(ValueError, match=r'Crowd\.noise_field must be made of parameters'):
         crowd.rescaled(2.0, 1.0)
+
+
+def test_numbers_within_methods_cannot_be_rescaled() -> None:
+    class Bare(Potential):
+        def value(self, r: Array) -> Array:
+            return np.exp(-r)
+
+        def derivative(self, r: Array) -> Array:
+            return -np.exp(-r)
+
+        def second_derivative(self, r: Array) -> Array:
+            return np.exp(-r)
+
+    with pytest.raises(
+        ValueError, match=r'^Bare must have fields, whose units are known, to be re'
+    ):
+        Crowd(dog=Bare()).rescaled(2.0, 1.0)
 
 
 def test_integers_stay() -> None:

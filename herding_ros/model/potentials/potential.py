@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import fields
 from functools import cache
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from herding_ros.model.parameters import Parameters
 from herding_ros.model.state import Array
@@ -14,6 +15,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from .forms import PotentialForm, Table
+
+_P = TypeVar('_P', bound='Potential')
 
 _NEAREST, _FARTHEST = 5e-7, 1e6
 """A table covers distances between these multiples of the extent; P'/r is constant outside."""
@@ -41,6 +44,14 @@ class Potential(Parameters, ABC):
     @abstractmethod
     def second_derivative(self, r: Array) -> Array:
         """P''(r) [1/s^2]."""
+
+    def rescaled(self: _P, length: float, time: float) -> _P:
+        """See `Parameters`; ValueError for one without fields, whose numbers nobody knows."""
+        if not fields(self):
+            raise ValueError(
+                f'{type(self).__name__} must have fields, whose units are known, to be rescaled'
+            )
+        return super().rescaled(length, time)
 
     @property
     def reach(self) -> float:
