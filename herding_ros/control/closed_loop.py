@@ -58,8 +58,9 @@ class ClosedLoopRun:
     """The true course of a run of T control periods.
 
     t: (T+1,) [s]; x: (T+1, N, 2) [m]; d: (T+1, M, S) states of the dogs, the position [m] first;
-    u: (T, M, 2) [m/s]; home: index of the first instant at which the flock had arrived, or None;
-    reports: of the planner's solves.
+    u: (T, M, 2) [m/s] the `dog_velocities` of the plant, of a `Simulation` the commands in effect;
+    home: index of the first instant at which the flock had arrived, or None; reports: of the
+    planner's solves.
     """
 
     t: Array
@@ -169,7 +170,9 @@ def _has_arrived(plant: Plant) -> bool:
 def steer(plant: Plant, planner: Planner, time_limit: float) -> ClosedLoopRun:
     """Herd by a planner, such as RecedingHorizon, until the flock arrives or for time_limit [s].
 
-    Raises OutOfStepError if the planner counts on commands of another length than the plant's.
+    What the planner's pilot has to say is logged (`logging`). Raises OutOfStepError, a ValueError,
+    if the planner counts on commands of another length than the plant's, what `play` raises, and
+    whatever keeps the planner from a plan.
     """
     check_lockstep(planner.control.horizon.control_period, plant.control_period)
     reports: list[SolveReport] = []
@@ -186,12 +189,13 @@ def closed_loop(
     time_limit: float,
     costs: Sequence[Cost] = (),
 ) -> ClosedLoopRun:
-    """Herd our own crowd by receding-horizon control until it arrives, or for time_limit [s].
+    """Herd our own crowd to the goal (2,) [m], until it arrives or for time_limit [s].
 
-    Observation noise, control period and all random numbers are those of the ROS graph in
-    lockstep, and so is the result, bit for bit. The controller minimises `costs` as well as
-    those that control.weights ask for. Raises ValueError if it counts on commands of another
-    length than those of the world.
+    This is receding-horizon control. Observation noise, control period and all random numbers are
+    those of the ROS graph in lockstep, and so is the result, bit for bit. The controller minimises
+    `costs` as well as those that control.weights ask for. Raises ValueError if it counts on
+    commands of another length, or dogs of another motion, than those of the world, and for a goal,
+    a time limit or costs that are none.
     """
     simulation = Simulation(crowd, world, goal)
     planner = RecedingHorizon(crowd, control, simulation.goal, world.seed, costs)

@@ -108,6 +108,7 @@ class Simulation:
         dogs = world.motion.state(herd.d, facing, np.zeros_like(herd.d))
         self.state = replace(herd, d=dogs)
         self.dog_velocities: Array = np.zeros((world.dogs, 2))
+        """The commands (M, 2) [m/s] that were in effect in the last control period."""
         late = periods('delay', world.delay, world.control_period)
         self._under_way: list[Array] = [np.zeros((world.dogs, 2))] * late
         self.periods = 0
