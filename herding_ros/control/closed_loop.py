@@ -24,6 +24,9 @@ _log = logging.getLogger(__name__)
 
 _LEVELS = {'info': logging.INFO, 'warning': logging.WARNING, 'error': logging.ERROR}
 
+_SHORTEST = 1e-9
+"""Time is counted in nanoseconds [s]."""
+
 Policy = Callable[[HerdState, float], Array]
 """From the observed state and the time [s] to the dogs' velocities (M, 2) [m/s]."""
 
@@ -138,10 +141,6 @@ def play(plant: Plant, policy: Policy, time_limit: float, stop: bool = True) -> 
             home = len(u) - 1
     x, d = np.array([state.x for state in states]), np.array([state.d for state in states])
     return ClosedLoopRun(np.array(t), x, d, np.array(u)[1:], home)
-
-
-_SHORTEST = 1e-9
-"""Time is counted in nanoseconds [s]."""
 
 
 def _copied(name: str, state: HerdState, first: HerdState) -> HerdState:
