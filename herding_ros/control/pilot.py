@@ -190,6 +190,8 @@ class Pilot:
         self._command: Array = np.zeros((self.dogs, 2))  # the last one
         self._filter = CommandFilter(self.dogs)
         self._obedience = Obedience(self.dogs)
+        self._told_of: set[int] = set()  # dogs that are said not to do as told
+        self._untold: dict[int, Judgement] = {}  # of those whose standing has changed since
         late = self._control.periods_of_delay
         self._under_way: deque[Array] = deque(np.zeros((self.dogs, 2)) for _ in range(late))
         self._commands, self._sum_of_commands = 0, np.zeros_like(self._command)  # in effect
@@ -305,8 +307,15 @@ class Pilot:
         changed = self._obedience.observe(
             observed.t, observed.state.d, observed.dogs, u, self._control
         )
-        for m, judgement in changed.items():
-            self._say(*self._standing_of(m, judgement))
+        self._untold |= changed
+        for m, judgement in list(self._untold.items()):
+            is_as_told = (m in self._told_of) == (m in self._obedience.disobedient)
+            # What cannot be said so soon again is said later, if it is still so.
+            if not is_as_told and self._say(*self._standing_of(m, judgement)):
+                self._told_of ^= {m}
+                is_as_told = True
+            if is_as_told:
+                del self._untold[m]
 
     def _standing_of(self, m: int, judgement: Judgement) -> tuple[str, str, str]:
         """Return level, text and cause of the event that a dog is told, or no longer."""
@@ -446,17 +455,18 @@ class Pilot:
         is_as_told = report.felt_strength == report.felt_range == 1.0
         if is_as_told == self._is_as_told:
             return
-        self._is_as_told = is_as_told
         if is_as_told:
-            self._say('info', 'sheep feel dogs as crowd.dog says, after all')
+            is_said = self._say('info', 'sheep feel dogs as crowd.dog says, after all')
         else:
-            self._say(
+            is_said = self._say(
                 'warning',
                 f'sheep feel dogs {report.felt_range:.2g} times as far and '
                 f'{report.felt_strength:.2g} times as strongly as crowd.dog says, by how they '
                 'move; plans go by that, and by what further looks tell',
                 cause='how dogs are felt',
             )
+        if is_said:  # else later, if it is still so: what was said last is to be true
+            self._is_as_told = is_as_told
 
     def _record_failure(self, error: Exception) -> None:
         self._error = error
@@ -464,13 +474,18 @@ class Pilot:
             self._say('error', f'a plan could not be made: {error!r}; further ones are counted')
         self.plans_failed += 1
 
-    def _say(self, level: str, text: str, cause: str = '') -> None:
-        """Add an event, unless one of the same cause, else the same one, was added recently."""
+    def _say(self, level: str, text: str, cause: str = '') -> bool:
+        """Add an event, unless one of the same cause, else the same one, was added recently.
+
+        Return whether it was added.
+        """
         now, cause = self._time, cause or text
         self._said = {said: when for said, when in self._said.items() if now < when + _REPEAT}
-        if cause not in self._said:
-            self._said[cause] = now
-            self._events.append(Event(level, text))
+        if cause in self._said:
+            return False
+        self._said[cause] = now
+        self._events.append(Event(level, text))
+        return True
 
     def _decision(self, command: Array | None, announcement: Announcement | None) -> Decision:
         if command is not None:

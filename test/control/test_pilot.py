@@ -285,6 +285,18 @@ def test_dogs_that_are_felt_otherwise_than_told_are_told_of_once_and_when_it_is_
     assert 'as crowd.dog says' in events[1][1].text
 
 
+def test_how_dogs_are_felt_now_is_told_even_if_the_same_was_told_and_taken_back_just_before() -> (
+    None
+):
+    pilot, planner = lockstep()
+    events = []
+    for k in range(400):
+        if k in (0, 25, 45, 65):
+            planner.report = replace(REPORT, felt_strength=0.5 if k in (25, 65) else 1.0)
+        events += [(k, event.level) for event in pilot.decide(seen(0.1 * k)).events]
+    assert events == [(40, 'warning'), (60, 'info'), (340, 'warning')]
+
+
 def test_lockstep_reply_is_that_of_the_real_planner() -> None:
     control = Control(bodies=AS_PLANNED, horizon=Horizon(length=1.0, accepted=0.5, feedback=0.2))
     herd = seen(0.0, sheep=4).state
@@ -1109,6 +1121,18 @@ def test_a_dog_that_stumbles_again_and_again_is_told_of_once_in_half_a_minute() 
     ]
     assert len(told) == 2
     assert told[1] - told[0] > 29.0
+
+
+def test_a_dog_that_is_stuck_again_soon_and_for_good_is_told_of_again() -> None:
+    control = Control(horizon=HORIZON, bodies=Bodies(separation=0.05, margin=0.0, radius=0.02))
+    planner = FakePlanner(control)
+    planner.speed = 0.04
+    pilot = LockstepPilot(planner, 3)
+    decisions = in_motion(pilot, 420, lambda k: k < 20 or 60 <= k < 190)
+    said = [(k, event.level) for k, decision in enumerate(decisions) for event in decision.events]
+    assert [level for _, level in said] == ['warning', 'info', 'warning']
+    assert said[2][0] - said[0][0] == 300
+    assert pilot.disobedient_dogs == ['dog_2']
 
 
 def test_what_was_said_long_ago_is_not_kept() -> None:
