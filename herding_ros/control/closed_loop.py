@@ -166,17 +166,21 @@ def _has_arrived(plant: Plant) -> bool:
     return bool(arrived)
 
 
-def steer(plant: Plant, planner: Planner, time_limit: float) -> ClosedLoopRun:
+def steer(
+    plant: Plant, planner: Planner, time_limit: float, velocities: bool = True
+) -> ClosedLoopRun:
     """Herd by a planner, such as RecedingHorizon, until the flock arrives or for time_limit [s].
 
-    What the planner's pilot has to say is logged (`logging`). Raises OutOfStepError, a ValueError,
-    if the planner counts on commands of another length than the plant's, what `play` raises, and
-    whatever keeps the planner from a plan.
+    Without velocities the planner sees only the positions of sheep, and needs a
+    `sensor.position_noise` above 0 to make velocities from them. What its pilot has to say is
+    logged (`logging`). Raises OutOfStepError, a ValueError, if the planner counts on commands of
+    another length than the plant's, what `play` raises, and whatever keeps the planner from a
+    plan.
     """
     check_lockstep(planner.control.horizon.control_period, plant.control_period)
     reports: list[SolveReport] = []
     pilot = LockstepPilot(planner, len(plant.state.d))
-    run = play(plant, as_policy(pilot, reports), time_limit)
+    run = play(plant, as_policy(pilot, reports, velocities), time_limit)
     return replace(run, reports=tuple(reports))
 
 

@@ -35,6 +35,7 @@ from .solution import NoTimeFor, Status
 from .solve_report import SolveReport
 from .surprise import Surprise, surprise
 from .window import Window
+from .zero_velocities import ZeroVelocities
 
 _NAMED = 10
 """Of no more lost sheep the names are told."""
@@ -185,6 +186,7 @@ class Pilot:
         self._said.clear()
         self._is_as_told = True  # how dogs are felt
         self._wrong_since = math.inf  # one plan after another
+        self._zero_velocities = ZeroVelocities()
         self._visible: tuple[int, ...] = ()
         self._seen: tuple[int, ...] = ()
         self._command: Array = np.zeros((self.dogs, 2))  # the last one
@@ -284,6 +286,7 @@ class Pilot:
                 self._estimator.reset()
                 state, ids = observed.state, observed.ids
             self._tell_of_hidden_sheep()
+            self._tell_of_zero_velocities(observed)
             self._seen = observed.dogs
             self._watch_dogs(observed, u)
             state, dogs = self._without_disobedient_dogs(state, observed.dogs)
@@ -363,6 +366,24 @@ class Pilot:
                 'warning',
                 f'sheep out of sight for {timeout:g} s are lost, the plans go on '
                 f'without them: {names}',
+            )
+
+    def _tell_of_zero_velocities(self, observed: Observed) -> None:
+        """Say so when the flock moves, with inertia, but all velocities are exactly zero."""
+        seen = observed.is_velocity_seen
+        if self._crowd.order == 1 or not (seen is None or seen.all()):
+            return
+        found = self._zero_velocities.observe(
+            observed.t, observed.ids, observed.state, self._control
+        )
+        if found is not None:
+            moved, elapsed = found
+            self._say(
+                'warning',
+                f'the flock has moved by {moved:.2g} m in {elapsed:.2g} s, but all of its '
+                'velocities are 0: plans begin as if it stood. If nothing sees velocities, leave '
+                'them out and set sensor.position_noise, or crowd.order to 1',
+                cause='velocities are 0',
             )
 
     def _is_feedback_due(self, plan: ScheduledPlan, estimate: Observed) -> bool:

@@ -11,6 +11,7 @@ from herding_ros.control.parameters import (
     Horizon,
     Mapping,
     OutOfStepError,
+    Sensor,
     Weights,
 )
 from herding_ros.control.receding_horizon import RecedingHorizon
@@ -325,3 +326,25 @@ def test_a_plant_that_breaks_on_its_way_is_refused(name: str, value: object, wor
 def test_a_time_limit_that_is_none_is_refused(limit: float) -> None:
     with pytest.raises(ValueError, match=r'^time_limit must be at least 0 s, got (-1.0|nan)$'):
         play(Pushed(), lambda observed, t: np.zeros((1, 2)), limit)
+
+
+class Blind(Simulation):
+    """Sees no velocities, and says that they are zero."""
+
+    def observe(self) -> Observation:
+        seen = super().observe()
+        return dataclasses.replace(
+            seen, state=dataclasses.replace(seen.state, v=np.zeros_like(seen.state.v))
+        )
+
+
+def test_zero_velocities_of_a_plant_do_not_count_if_it_is_said_to_have_none() -> None:
+    control = dataclasses.replace(SMALL, sensor=Sensor(position_noise=1e-3))
+
+    def run(simulation: type[Simulation], velocities: bool) -> Array:
+        plant = simulation(Crowd(), World(sheep=4), GOAL)
+        planner = RecedingHorizon(Crowd(), control, GOAL, 0)
+        return steer(plant, planner, 3.0, velocities).x
+
+    np.testing.assert_array_equal(run(Blind, False), run(Simulation, False))
+    assert not np.array_equal(run(Blind, True), run(Blind, False))

@@ -352,6 +352,35 @@ def test_lockstep_improves_at_once_when_surprised_and_once_for_each_surprise() -
     assert [t for t, _ in planner.improved] == pytest.approx([0.2, 0.7, 1.2, 1.7])
 
 
+@pytest.mark.parametrize(
+    ('order', 'v', 'is_seen', 'speed', 'told'),
+    [
+        (2, 0.0, True, 0.02, 1),
+        (2, 0.02, True, 0.02, 0),
+        (2, 0.0, True, 0.002, 0),  # it stands, and the camera trembles
+        (2, 0.0, False, 0.02, 0),
+        (1, 0.0, True, 0.02, 0),
+    ],
+)
+def test_a_flock_that_moves_without_velocities_is_told_of_once(
+    order: int, v: float, is_seen: bool, speed: float, told: int
+) -> None:
+    sensor = Sensor(position_noise=0.0 if is_seen else 0.01)
+    pilot, planner = lockstep(replace(CONTROL, sensor=sensor))
+    planner.crowd = replace(planner.crowd, order=order)
+    pilot.adjust(planner.crowd, planner.control)
+    events = []
+    for k in range(250):
+        observed = seen(0.1 * k, gust=0.1 * k * speed)
+        state = replace(observed.state, v=np.full_like(observed.state.v, v))
+        which = np.full(len(state.x), is_seen)
+        decision = pilot.decide(replace(observed, state=state, is_velocity_seen=which))
+        events += [event.text for event in decision.events if 'velocities are 0' in event.text]
+    assert len(events) == told
+    if told:
+        assert 'has moved by 0.04 m in 2 s' in events[0]
+
+
 @pytest.mark.parametrize('keeps_time', [False, True])
 def test_a_model_that_is_wrong_at_every_look_is_told_of_once_but_no_gust_is(
     keeps_time: bool,
