@@ -136,9 +136,9 @@ def play(plant: Plant, policy: Policy, time_limit: float, stop: bool = True) -> 
         plant.advance(policy(observed, t[-1]))
         states.append(_copied('Plant.state', plant.state, states[0]))
         u.append(_velocities(plant))
-        t.append((len(u) - 1) * period * 1e-9)
+        t.append(len(t) * period * 1e-9)
         if home is None and _has_arrived(plant):
-            home = len(u) - 1
+            home = len(t) - 1
     x, d = np.array([state.x for state in states]), np.array([state.d for state in states])
     return ClosedLoopRun(np.array(t), x, d, np.array(u)[1:], home)
 

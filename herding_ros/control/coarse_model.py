@@ -11,7 +11,7 @@ from herding_ros.model import kernels
 from herding_ros.model.crowd import Crowd
 from herding_ros.model.dynamics import physics, positions, reverse_sweep, rollout
 from herding_ros.model.linear_algebra import times, transposed_times
-from herding_ros.model.motion import Holonomic, MotionModel
+from herding_ros.model.motion import Holonomic, MotionModel, returned
 from herding_ros.model.state import Array, HerdState, Trajectory
 import numpy as np
 from numpy.typing import NDArray
@@ -59,13 +59,7 @@ class CoarseModel:
             rest = (len(ds), ds.shape[1] - source.shape[1], *source.shape[2:])
             source = np.concatenate([source, np.zeros(rest)], axis=1)
         out = self.motion.transpose(ds, u, source, self.dt, self.substeps)
-        shape = (*u.shape, *source.shape[3:])
-        if out.shape != shape:
-            raise ValueError(
-                f'{type(self.motion).__name__}.transpose must return shape {shape}, '
-                f'got {out.shape}'
-            )
-        return out
+        return returned(self.motion, 'transpose', out, (*u.shape, *source.shape[3:]))
 
     def inner(self, a: Array, b: Array) -> float:
         """L2(0, T) inner product of two controls."""

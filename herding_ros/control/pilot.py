@@ -193,7 +193,7 @@ class Pilot:
         self._filter = CommandFilter(self.dogs)
         self._obedience = Obedience(self.dogs)
         self._told_of: set[int] = set()  # dogs that are said not to do as told
-        self._untold: dict[int, Judgement] = {}  # of those whose standing has changed since
+        self._judged: dict[int, Judgement] = {}  # when their standing changed last
         late = self._control.periods_of_delay
         self._under_way: deque[Array] = deque(np.zeros((self.dogs, 2)) for _ in range(late))
         self._commands, self._sum_of_commands = 0, np.zeros_like(self._command)  # in effect
@@ -310,15 +310,11 @@ class Pilot:
         changed = self._obedience.observe(
             observed.t, observed.state.d, observed.dogs, u, self._control
         )
-        self._untold |= changed
-        for m, judgement in list(self._untold.items()):
-            is_as_told = (m in self._told_of) == (m in self._obedience.disobedient)
-            # What cannot be said so soon again is said later, if it is still so.
-            if not is_as_told and self._say(*self._standing_of(m, judgement)):
+        self._judged |= changed
+        # What cannot be said so soon again is said later, if it is still so.
+        for m in sorted(self._told_of ^ self._obedience.disobedient.keys()):
+            if self._say(*self._standing_of(m, self._judged[m])):
                 self._told_of ^= {m}
-                is_as_told = True
-            if is_as_told:
-                del self._untold[m]
 
     def _standing_of(self, m: int, judgement: Judgement) -> tuple[str, str, str]:
         """Return level, text and cause of the event that a dog is told, or no longer."""

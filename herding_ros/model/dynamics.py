@@ -32,7 +32,7 @@ import numpy as np
 from . import fast_forces, kernels
 from .crowd import Crowd
 from .external_form import Form
-from .motion import Holonomic, MotionModel
+from .motion import Holonomic, MotionModel, returned
 from .noise import is_uniform, random_force
 from .potentials.forms import divided
 from .state import Array, finite, HerdState, Trajectory
@@ -151,11 +151,8 @@ def rollout(
     rollout starts at t [s], which counts when the noise depends on time.
     """
     u = check_control(u, len(state.d))
-    ds, shape = motion.rollout(state.d, u, dt, substeps), (len(u) * substeps + 1, *state.d.T.shape)
-    if ds.shape != shape:
-        raise ValueError(
-            f'{type(motion).__name__}.rollout must return shape {shape}, got {ds.shape}'
-        )
+    shape = (len(u) * substeps + 1, *state.d.T.shape)
+    ds = returned(motion, 'rollout', motion.rollout(state.d, u, dt, substeps), shape)
     return follow(crowd, state, ds, dt, noise, t)
 
 

@@ -3,7 +3,7 @@
 
 from .accelerating import Accelerating
 from .holonomic import Holonomic
-from .motion_model import check_states, MotionModel, Obedient
+from .motion_model import check_states, MotionModel, Obedient, returned
 from .unicycle import steered_ahead, Unicycle
 
 MOTIONS: dict[str, Obedient] = {
@@ -21,5 +21,6 @@ __all__ = [
     'Obedient',
     'Unicycle',
     'check_states',
+    'returned',
     'steered_ahead',
 ]

@@ -80,3 +80,12 @@ def check_states(motion: MotionModel, d: Array) -> None:
             f'dogs d must be states of {type(motion).__name__}, shape {shape}, got {d.shape}: '
             'world and controller must have motions of the same states'
         )
+
+
+def returned(motion: MotionModel, method: str, out: Array, shape: tuple[int, ...]) -> Array:
+    """Return what a method of a motion has returned; ValueError for another shape than this."""
+    if out.shape != shape:
+        raise ValueError(
+            f'{type(motion).__name__}.{method} must return shape {shape}, got {out.shape}'
+        )
+    return out
